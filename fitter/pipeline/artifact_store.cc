@@ -56,9 +56,9 @@ Status CopyInto(const fs::path& making, const fs::path& made, const db::Artifact
   db::ArtifactRecord one = record;
   one.files = {file};
   SLX_RETURN_IF_ERROR(db::CheckArtifactFiles(made, one, db::FileDepth::kSizes));
+  SLX_RETURN_IF_ERROR(MakeFoldersBelow(making, fs::path(file.name).parent_path()));
   std::error_code error;
-  fs::create_directories((making / file.name).parent_path(), error);
-  if (!error) fs::copy_file(made / file.name, making / file.name, error);
+  fs::copy_file(made / file.name, making / file.name, error);
   return error ? Status::Failed("cannot copy " + (made / file.name).string() + ": " + error.message()) : Status::Ok();
 }
 
@@ -256,11 +256,13 @@ Result<UniqueFd> ArtifactStore::Flock(int operation) const {
 
 Result<UniqueFd> ArtifactStore::Use() const { return Flock(LOCK_SH); }
 
-Result<CleanReport> ArtifactStore::Clean(const std::set<std::string>& wanted, const CleanOptions& options) {
+Result<CleanReport> ArtifactStore::Clean(const std::function<Result<std::set<std::string>>()>& wanted_by_fits,
+                                         const CleanOptions& options) {
   UniqueFd alone;
   if (!options.dry_run) {
     SLX_ASSIGN_OR_RETURN(alone, Flock(LOCK_EX | LOCK_NB));
   }
+  SLX_ASSIGN_OR_RETURN(const std::set<std::string> wanted, wanted_by_fits());
   CleanReport report;
   std::error_code error;
   std::vector<fs::path> all;

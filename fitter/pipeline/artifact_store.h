@@ -73,9 +73,10 @@ class ArtifactStore {
   [[nodiscard]] std::vector<db::ArtifactRecord> OfStage(const std::string& stage) const;
   // Until its descriptor is closed no artifact is removed: what a run has made it still has to read.
   [[nodiscard]] Result<UniqueFd> Use() const;
-  // Removes artifacts that no `wanted` folder name names and no lock holds, and whatever is damaged or, of an encrypted
-  // session, plain. kBusy while a run uses them.
-  [[nodiscard]] Result<CleanReport> Clean(const std::set<std::string>& wanted, const CleanOptions& options);
+  // Removes artifacts that are not wanted and that no lock holds, and whatever is damaged or, of an encrypted session,
+  // plain. kBusy while a run uses them. Whose folder names are wanted is asked when no run can enter another fit.
+  [[nodiscard]] Result<CleanReport> Clean(const std::function<Result<std::set<std::string>>()>& wanted_by_fits,
+                                          const CleanOptions& options);
 
   // The lock of an artifact's folder name, or of another name that the runs of a session agree on. Lock() waits, and
   // says that it waits for another run that `what_for`.

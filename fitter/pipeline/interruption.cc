@@ -104,6 +104,19 @@ RemovedOnSignal::~RemovedOnSignal() {
   if (found != Folders().folders.end()) Folders().folders.erase(found);
 }
 
+Status MakeFoldersBelow(const std::filesystem::path& root, const std::filesystem::path& folders) {
+  const NotInterrupted whole;  // nothing is made anew behind the removal of the folder that it lies in
+  std::error_code error;
+  if (!std::filesystem::is_directory(root, error)) return Status::Failed("folder " + root.string() + " is gone");
+  std::filesystem::path folder = root;
+  for (const std::filesystem::path& level : folders) {
+    folder /= level;
+    std::filesystem::create_directory(folder, error);
+    if (error) return Status::Failed("cannot create " + folder.string() + ": " + error.message());
+  }
+  return Status::Ok();
+}
+
 NotInterrupted::NotInterrupted() { Folders().mutex.lock(); }
 NotInterrupted::~NotInterrupted() { Folders().mutex.unlock(); }
 

@@ -4,6 +4,7 @@
 
 #include <filesystem>
 
+#include "shared/base/result.h"
 #include "shared/base/unique_fd.h"
 
 namespace stratalux::fit {
@@ -11,6 +12,10 @@ namespace stratalux::fit {
 // Before the first thread: from now on INT, TERM and HUP remove what is registered, then end the process as they always
 // do. What a killed process (KILL, a power cut) leaves, the next run removes.
 void RemoveOnInterruption();
+
+// Makes `root`/`folders`, level by level, and never `root`: a session that is forgotten while a run works on it stays
+// gone. kFailed where it is.
+[[nodiscard]] Status MakeFoldersBelow(const std::filesystem::path& root, const std::filesystem::path& folders);
 
 // While it lives, the first of these signals asks instead of ending the process: what must be put in order first is.
 // The next one ends it. One at a time; needs RemoveOnInterruption().

@@ -6,18 +6,8 @@
 #include "fitter/pipeline/interruption.h"
 
 namespace stratalux::fit {
-namespace {
 
 namespace fs = std::filesystem;
-
-Status MakeFolders(const fs::path& folder) {
-  const NotInterrupted whole;  // nothing is made anew behind the removal of the folder that it lies in
-  std::error_code error;
-  fs::create_directories(folder, error);
-  return error ? Status::Failed("cannot create " + folder.string() + ": " + error.message()) : Status::Ok();
-}
-
-}  // namespace
 
 class PlainFiles::Memory {
  public:
@@ -28,7 +18,11 @@ class PlainFiles::Memory {
   }
   explicit Memory(db::MemoryFolder folder) : folder_(std::move(folder)), guard_(folder_.path()) {}
   [[nodiscard]] const db::MemoryFolder& folder() const { return folder_; }
-  [[nodiscard]] fs::path NewName() { return folder_.path() / std::to_string(used_++); }
+  [[nodiscard]] Result<fs::path> NewFolder() {
+    const std::string name = std::to_string(used_++);
+    SLX_RETURN_IF_ERROR(MakeFoldersBelow(folder_.path(), name));
+    return folder_.path() / name;
+  }
 
  private:
   const db::MemoryFolder folder_;
@@ -42,8 +36,7 @@ Status PlainFiles::InMemory(const std::function<Status(const fs::path&)>& use) {
   if (memory_ == nullptr) {
     SLX_ASSIGN_OR_RETURN(memory_, Memory::Create());
   }
-  const fs::path folder = memory_->NewName();
-  SLX_RETURN_IF_ERROR(MakeFolders(folder));
+  SLX_ASSIGN_OR_RETURN(const fs::path folder, memory_->NewFolder());
   const Status used = memory_->folder().Explained(use(folder));
   std::error_code error;
   fs::remove_all(folder, error);
@@ -63,7 +56,7 @@ Status PlainFiles::SealFiles(const fs::path& from, const fs::path& to, const std
   SLX_ASSIGN_OR_RETURN(const auto names, db::NamesOfFiles(from, ""));
   for (const std::string& name : names) {
     if (left_plain.contains(name)) continue;
-    SLX_RETURN_IF_ERROR(MakeFolders((to / name).parent_path()));
+    SLX_RETURN_IF_ERROR(MakeFoldersBelow(to, fs::path(name).parent_path()));
     SLX_RETURN_IF_ERROR(seal_.Seal(from / name, place + "/" + name, to / name));
   }
   return Status::Ok();
@@ -76,7 +69,7 @@ Status PlainFiles::Read(const fs::path& folder, const PlacesOf& places, const st
     SLX_ASSIGN_OR_RETURN(const auto names, db::NamesOfFiles(folder, ""));
     for (const std::string& name : names) {
       if (left_plain.contains(name)) continue;
-      SLX_RETURN_IF_ERROR(MakeFolders((plain / name).parent_path()));
+      SLX_RETURN_IF_ERROR(MakeFoldersBelow(plain, fs::path(name).parent_path()));
       SLX_RETURN_IF_ERROR(seal_.Open(folder / name, places(name), plain / name));
     }
     return read(plain);

@@ -51,13 +51,6 @@ std::map<std::string, std::string> StagesOf(SessionGraph& graph, const RunOption
   return keys;
 }
 
-Status MakeFolder(const fs::path& folder) {
-  std::error_code error;
-  const NotInterrupted whole;
-  fs::create_directories(folder, error);
-  return error ? Status::Failed("cannot create " + folder.string() + ": " + error.message()) : Status::Ok();
-}
-
 // The file by another name; where the file system has no links, a copy.
 Status Link(const fs::path& from, const fs::path& to) {
   std::error_code error;
@@ -70,7 +63,7 @@ Status Link(const fs::path& from, const fs::path& to) {
 Status LinkFiles(const fs::path& from, const fs::path& to) {
   SLX_ASSIGN_OR_RETURN(const auto names, db::NamesOfFiles(from, db::kArtifactRecordFile));
   for (const std::string& name : names) {
-    SLX_RETURN_IF_ERROR(MakeFolder((to / name).parent_path()));
+    SLX_RETURN_IF_ERROR(MakeFoldersBelow(to, fs::path(name).parent_path()));
     SLX_RETURN_IF_ERROR(Link(from / name, to / name));
   }
   return Status::Ok();
@@ -372,24 +365,32 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
   const RemovedOnSignal guard(partial);
   std::error_code error;
   fs::remove_all(partial, error);
-  SLX_RETURN_IF_ERROR(MakeFolder(partial / "report"));
-  for (const auto& [stage, key] : keys) {
-    SLX_ASSIGN_OR_RETURN(const fs::path folder, stages.StoredFolder(key));
-    SLX_RETURN_IF_ERROR(LinkFiles(folder, partial));
-  }
-  const auto write_report = [&](const fs::path& folder) -> Status {
-    SLX_RETURN_IF_ERROR(MakeFolder(folder / "report"));
-    return WriteReport(folder, input, metrics, pictures);
-  };
-  SLX_RETURN_IF_ERROR(stages.store().files().Write(partial, db::PlaceOfFit(metrics.fit), write_report));
-  SLX_RETURN_IF_ERROR(WriteText(partial / "metrics.json", metrics.ToJson()));
   db::FitRow row{metrics.fit, metrics.session, metrics.options_json, metrics.ToJson(), WallNow()};
   row.artifacts = metrics.artifacts;
-  // With its proof, on the disk, before it takes the place of one that is listed.
-  SLX_ASSIGN_OR_RETURN(const std::string record, db::FitRecordOf(partial, row));
-  SLX_RETURN_IF_ERROR(db::ReplaceFile(partial / db::kFitRecordFile, record));
-  SLX_RETURN_IF_ERROR(db::SyncTree(partial));
-  SLX_RETURN_IF_ERROR(PutInPlace(partial, place));
+  const auto make = [&]() -> Status {
+    const fs::path below = partial.lexically_relative(frames.folder());
+    SLX_RETURN_IF_ERROR(MakeFoldersBelow(frames.folder(), below / "report"));
+    for (const auto& [stage, key] : keys) {
+      SLX_ASSIGN_OR_RETURN(const fs::path folder, stages.StoredFolder(key));
+      SLX_RETURN_IF_ERROR(LinkFiles(folder, partial));
+    }
+    const auto write_report = [&](const fs::path& folder) -> Status {
+      SLX_RETURN_IF_ERROR(MakeFoldersBelow(folder, "report"));
+      return WriteReport(folder, input, metrics, pictures);
+    };
+    SLX_RETURN_IF_ERROR(stages.store().files().Write(partial, db::PlaceOfFit(metrics.fit), write_report));
+    SLX_RETURN_IF_ERROR(WriteText(partial / "metrics.json", row.metrics_json));
+    // With its proof, on the disk, before it takes the place of one that is listed.
+    SLX_ASSIGN_OR_RETURN(const std::string record, db::FitRecordOf(partial, row));
+    SLX_RETURN_IF_ERROR(db::ReplaceFile(partial / db::kFitRecordFile, record));
+    SLX_RETURN_IF_ERROR(db::SyncTree(partial));
+    return PutInPlace(partial, place);
+  };
+  if (Status made = make(); !made.ok()) {
+    // On a full disk its names would keep what `clean` frees.
+    fs::remove_all(partial, error);
+    return made;
+  }
   SLX_RETURN_IF_ERROR(frames.store().RegisterFit(row, {.job_token = options.job_token}));
   return place;
 }

@@ -64,18 +64,25 @@ Result<CleanReport> CleanArtifacts(const std::string& store, const std::string& 
   SLX_ASSIGN_OR_RETURN(const auto frames, SessionFrames::Open(store, chosen));
   SLX_ASSIGN_OR_RETURN(const db::FileSeal seal, db::FindSeal(frames.store(), frames.info().id));
   SLX_ASSIGN_OR_RETURN(auto artifacts, ArtifactStore::Open(frames.folder(), PlainFiles(seal), logger));
-  SLX_ASSIGN_OR_RETURN(const auto fits, frames.store().ListFits(frames.info().id));
-  std::set<std::string> wanted, plain;
-  for (const db::FitRow& fit : fits) {
-    const fs::path folder = frames.store().FitFolder(frames.info().id, fit.id);
-    const auto row = db::ReadFitRecord(folder, frames.info().id);
-    if (!row.ok()) continue;
-    for (const auto& [stage, name] : row->artifacts) wanted.insert(name);
-    if (!seal.active()) continue;
-    SLX_ASSIGN_OR_RETURN(const bool holds_plain, HoldsPlainFiles(folder));
-    if (holds_plain) plain.insert(fit.id);
-  }
-  SLX_ASSIGN_OR_RETURN(auto report, artifacts.Clean(wanted, options));
+  std::set<std::string> plain;
+  const auto wanted_by_fits = [&]() -> Result<std::set<std::string>> {
+    std::set<std::string> wanted;
+    SLX_ASSIGN_OR_RETURN(const auto fits, frames.store().ListFits(frames.info().id));
+    for (const db::FitRow& fit : fits) {
+      const fs::path folder = frames.store().FitFolder(frames.info().id, fit.id);
+      const auto row = db::ReadFitRecord(folder, frames.info().id);
+      if (!row.ok()) {
+        logger.Warning(row.status().message() + "; what it was made of is taken for unwanted");
+        continue;
+      }
+      for (const auto& [stage, name] : row->artifacts) wanted.insert(name);
+      if (!seal.active()) continue;
+      SLX_ASSIGN_OR_RETURN(const bool holds_plain, HoldsPlainFiles(folder));
+      if (holds_plain) plain.insert(fit.id);
+    }
+    return wanted;
+  };
+  SLX_ASSIGN_OR_RETURN(auto report, artifacts.Clean(wanted_by_fits, options));
   for (const std::string& fit : plain) {
     if (!options.dry_run) SLX_RETURN_IF_ERROR(SealFit(frames, artifacts, fit));
     report.sealed.push_back(fit);

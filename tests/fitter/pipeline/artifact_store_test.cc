@@ -28,6 +28,10 @@ db::ArtifactIdentity Named(const std::string& stage, const std::string& options 
   return {stage, 1, options, {{"frames", "f00d"}}, ""};
 }
 
+std::function<Result<std::set<std::string>>()> Wanted(std::set<std::string> names) {
+  return [names = std::move(names)] { return names; };
+}
+
 class ArtifactStoreTest : public ScratchFolderTest {
  protected:
   ArtifactStore Open() {
@@ -106,7 +110,7 @@ TEST_F(ArtifactStoreTest, AFileSwappedCutOrRemovedIsNamed) {
     EXPECT_EQ(read.status().code(), StatusCode::kIntegrity) << file;
     EXPECT_THAT(read.status().message(), HasSubstr((folder / file).string()));
     auto store = Open();
-    const auto cleaned = store.Clean({folder.filename().string()}, {.damaged_only = true});
+    const auto cleaned = store.Clean(Wanted({folder.filename().string()}), {.damaged_only = true});
     ASSERT_TRUE(cleaned.ok());
     EXPECT_THAT(cleaned->removed, ElementsAre(folder.filename().string()));
     EXPECT_TRUE(Open().Obtain(Named("shape"), Maker()).ok());
@@ -233,23 +237,23 @@ TEST_F(ArtifactStoreTest, CleanTakesNothingFromARunThatGoesOn) {
     const auto in_use = run.Use(), by_another_run = Open().Use();
     ASSERT_TRUE(in_use.ok() && by_another_run.ok());
     ASSERT_TRUE(run.Obtain(Named("srd"), Maker()).ok());
-    const auto refused = cleaning.Clean({}, {});
+    const auto refused = cleaning.Clean(Wanted({}), {});
     EXPECT_EQ(refused.status().code(), StatusCode::kBusy);
     EXPECT_THAT(refused.status().message(), HasSubstr("a run works on"));
-    EXPECT_TRUE(cleaning.Clean({}, {.dry_run = true}).ok());
+    EXPECT_TRUE(cleaning.Clean(Wanted({}), {.dry_run = true}).ok());
     EXPECT_TRUE(run.Read(Named("srd")).ok());
   }
-  EXPECT_EQ(cleaning.Clean({}, {})->removed.size(), 1U);
+  EXPECT_EQ(cleaning.Clean(Wanted({}), {})->removed.size(), 1U);
 }
 
 TEST_F(ArtifactStoreTest, CleanLeavesWhatIsWantedOrYoung) {
   auto store = Open();
   const std::string wanted = store.Obtain(Named("shape"), Maker())->folder.filename().string();
   ASSERT_TRUE(store.Obtain(Named("srd"), Maker()).ok());
-  EXPECT_THAT(store.Clean({wanted}, {.keep_days = 1.0})->removed, IsEmpty());
-  EXPECT_THAT(store.Clean({wanted}, {.dry_run = true})->removed, ElementsAre(Named("srd").FolderName()));
+  EXPECT_THAT(store.Clean(Wanted({wanted}), {.keep_days = 1.0})->removed, IsEmpty());
+  EXPECT_THAT(store.Clean(Wanted({wanted}), {.dry_run = true})->removed, ElementsAre(Named("srd").FolderName()));
   EXPECT_TRUE(store.Has(Named("srd")));
-  EXPECT_EQ(store.Clean({wanted}, {})->kept, 1);
+  EXPECT_EQ(store.Clean(Wanted({wanted}), {})->kept, 1);
   EXPECT_FALSE(store.Has(Named("srd")));
   EXPECT_THAT(Names(), ElementsAre(wanted));
 }
@@ -312,6 +316,19 @@ TEST_F(SealedArtifactTest, WithoutTheKeyNothingIsComputed) {
   EXPECT_THAT(Names(), IsEmpty());
 }
 
+// The stage is computed in memory, where nothing tells that the session goes meanwhile.
+TEST_F(SealedArtifactTest, OfASessionThatIsForgottenMeanwhileNothingComesBack) {
+  auto store = Open();
+  const fs::path artifacts = folder_ / db::kArtifactsFolder;
+  const auto late = store.Obtain(Sealed("shape"), [&](const fs::path& plain) {
+    EXPECT_TRUE(Maker()(plain).ok());
+    fs::remove_all(artifacts);
+    return Status::Ok();
+  });
+  EXPECT_THAT(late.status().message(), HasSubstr("is gone"));
+  EXPECT_FALSE(fs::exists(artifacts));
+}
+
 TEST_F(SealedArtifactTest, PlainOnesOfAnOlderProgramAreNotFoundAndCleaned) {
   {
     db::FileSeal sealed;
@@ -323,7 +340,7 @@ TEST_F(SealedArtifactTest, PlainOnesOfAnOlderProgramAreNotFoundAndCleaned) {
   ASSERT_TRUE(store.Obtain(Sealed("shape"), Maker()).ok());
   EXPECT_EQ(calls_, 2);
   const std::string plain = Named("shape").FolderName();
-  EXPECT_THAT(store.Clean({plain}, {.damaged_only = true, .keep_days = 9.0})->removed, ElementsAre(plain));
+  EXPECT_THAT(store.Clean(Wanted({plain}), {.damaged_only = true, .keep_days = 9.0})->removed, ElementsAre(plain));
   EXPECT_THAT(Names(), ElementsAre(Sealed("shape").FolderName()));
 }
 
