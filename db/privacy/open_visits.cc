@@ -26,8 +26,8 @@ fs::path NoteOf(const fs::path& store, const std::string& visit) { return Folder
 }  // namespace
 
 Status NoteOpenVisit(const fs::path& store, const std::string& visit, const std::string& visitor) {
-  std::error_code error;
-  if (fs::exists(NoteOf(store, visit), error)) return Status::Ok();
+  // One that is torn, or half closed, is none.
+  if (const auto there = ReadFile(NoteOf(store, visit)); there.ok() && *there == visitor) return Status::Ok();
   SLX_RETURN_IF_ERROR(MakeFolder(Folder(store)));
   return ReplaceFile(NoteOf(store, visit), visitor);
 }

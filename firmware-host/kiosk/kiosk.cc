@@ -139,8 +139,10 @@ class KioskLoop {
   }
   void Perform(const action::Show& action);
   void Perform(const action::PrintTicket& action) {
+    // Its note stays, so that the next forgetting or the next start takes what nobody could ever take back.
+    if (!front_.GiveTicket(worker_.names().ticket))
+      return logger_.Error("a ticket could not be handed out: the visit has none and is not kept");
     ++report_.tickets;
-    front_.GiveTicket(worker_.names().ticket);
     worker_.Begin(action);
   }
   void Perform(const action::TellOperator& action);

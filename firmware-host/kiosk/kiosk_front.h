@@ -28,7 +28,8 @@ class KioskFront {
   // and Shutdown are heard; an operator was recognised before.
   virtual std::vector<VisitEvent> Take() = 0;
   virtual void Show(const action::Show& screen) = 0;
-  virtual void GiveTicket(const std::string& code) = 0;
+  // False: it could not be handed out, and nobody has it. True says no more than that nothing failed.
+  [[nodiscard]] virtual bool GiveTicket(const std::string& code) = 0;
   virtual void TellOperator(Word word) = 0;
   // A frame of whoever sits there, while the screen is `position`; by the thread that works the rig, which waits
   // meanwhile. It must neither be stored nor leave the machine.

@@ -24,7 +24,10 @@ class PageFront final : public KioskFront {
   [[nodiscard]] int fd() const override { return either_.get(); }
   std::vector<VisitEvent> Take() override;
   void Show(const action::Show& screen) override { page_->Show(screen); }
-  void GiveTicket(const std::string& code) override { page_->ShowTicket(code); }
+  bool GiveTicket(const std::string& code) override {
+    page_->ShowTicket(code);
+    return true;
+  }
   void TellOperator(Word word) override { page_->Tell(word); }
   void Preview(const FrameRecord& record, const Image<uint16_t>& pixels) override {
     page_->ShowPreview(record, pixels);

@@ -105,14 +105,16 @@ std::vector<VisitEvent> PlainFront::Take() {
   return events;
 }
 
-void PlainFront::Print(const std::string& line) {
+bool PlainFront::Print(const std::string& line) {
   pollfd ready{out_, POLLOUT, 0};
-  if (poll(&ready, 1, 0) <= 0) return;
-  [[maybe_unused]] const ssize_t written = write(out_, line.data(), line.size());
+  return poll(&ready, 1, 0) > 0 && write(out_, line.data(), line.size()) == static_cast<ssize_t>(line.size());
 }
 
-void PlainFront::Show(const action::Show& screen) { Print(ScreenAsJson(screen) + "\n"); }
-void PlainFront::GiveTicket(const std::string& code) { Print(Json({{"ticket", code}}).dump() + "\n"); }
-void PlainFront::TellOperator(Word word) { Print(Json({{"operator", ToString(word)}}).dump() + "\n"); }
+// A screen that is not seen stops no visit.
+void PlainFront::Show(const action::Show& screen) { static_cast<void>(Print(ScreenAsJson(screen) + "\n")); }
+bool PlainFront::GiveTicket(const std::string& code) { return Print(Json({{"ticket", code}}).dump() + "\n"); }
+void PlainFront::TellOperator(Word word) {
+  static_cast<void>(Print(Json({{"operator", ToString(word)}}).dump() + "\n"));
+}
 
 }  // namespace stratalux::rig

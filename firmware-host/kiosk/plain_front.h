@@ -29,12 +29,12 @@ class PlainFront final : public KioskFront {
   [[nodiscard]] int fd() const override { return in_; }
   std::vector<VisitEvent> Take() override;
   void Show(const action::Show& screen) override;
-  void GiveTicket(const std::string& code) override;
+  bool GiveTicket(const std::string& code) override;
   void TellOperator(Word word) override;
 
  private:
   // Given up where nobody reads: a screen that is not seen stops no visit.
-  void Print(const std::string& line);
+  [[nodiscard]] bool Print(const std::string& line);
 
   int in_;  // -1: at its end
   const int out_;

@@ -193,6 +193,16 @@ TEST_F(KioskForgetting, AWholeSessionWithoutATicketGoesToo) {
   ExpectProven(1);
 }
 
+TEST_F(KioskForgetting, WhoseTicketCouldNotBeHandedOutIsNotKept) {
+  has_paper_ = false;
+  EXPECT_EQ(Run({Manner::kVisit}).tickets, 0);
+  has_paper_ = true;
+  EXPECT_THAT(*db::OpenVisits(folder_ / "store"), SizeIs(1)) << "nobody has the code";
+  RunUntilCertified();
+  EXPECT_THAT(Sessions(), IsEmpty());
+  ExpectProven(1);
+}
+
 TEST_F(KioskForgetting, WhoHoldsTheTicketIsKeptThroughAKill) {
   KillOnShow({Manner::kVisit, Manner::kVisit}, [this, tickets = 0](const action::Show& screen) mutable {
     if (screen.screen == Phase::kThanks) tickets = 1;

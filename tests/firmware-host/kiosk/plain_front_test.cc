@@ -3,6 +3,7 @@
 
 #include <array>
 
+#include <fcntl.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <unistd.h>
@@ -62,11 +63,26 @@ TEST(PlainFront, TakesLinesHoweverTheyArriveAndItsEndIsNoCommand) {
   close(in[1]);
   EXPECT_TRUE(front.Take().empty());
   EXPECT_EQ(front.fd(), -1) << "nobody waits for it any more";
-  front.GiveTicket("7K3QZ-M0P4T-3");
+  EXPECT_TRUE(front.GiveTicket("7K3QZ-M0P4T-3"));
   char buffer[64];
   const ssize_t count = read(out[0], buffer, sizeof buffer);
   EXPECT_EQ(std::string(buffer, static_cast<size_t>(count)), "{\"ticket\":\"7K3QZ-M0P4T-3\"}\n");
   for (const int fd : {in[0], out[0], out[1]}) close(fd);
+}
+
+// A pipe that nobody reads, and a full disk.
+TEST(PlainFront, SaysWhenATicketWentNowhere) {
+  std::array<int, 2> out{};
+  ASSERT_EQ(pipe2(out.data(), O_NONBLOCK), 0);
+  while (write(out[1], "full", 4) > 0) continue;
+  const int full = open("/dev/full", O_WRONLY | O_CLOEXEC);
+  Logger logger(LogLevel::kError);
+  const KioskConfig kiosk;
+  for (const int fd : {out[1], full}) {
+    ASSERT_GE(fd, 0);
+    EXPECT_FALSE(PlainFront(-1, fd, kiosk, logger).GiveTicket("7K3QZ-M0P4T-3"));
+  }
+  for (const int fd : {out[0], out[1], full}) close(fd);
 }
 
 }  // namespace

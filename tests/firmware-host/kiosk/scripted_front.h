@@ -47,11 +47,16 @@ class ScriptedFront final : public KioskFront {
   [[nodiscard]] int fd() const override { return wake_.get(); }
   std::vector<VisitEvent> Take() override;
   void Show(const action::Show& screen) override;
-  void GiveTicket(const std::string& code) override { now().ticket = code; }
+  bool GiveTicket(const std::string& code) override {
+    if (!has_paper) return false;
+    now().ticket = code;
+    return true;
+  }
   void TellOperator(Word word) override { ++told[word]; }
 
   std::vector<ScriptedVisit> visits;
   std::map<Word, int> told;
+  bool has_paper = true;  // tickets can be handed out
   std::function<void(const action::Show&)> on_show;
   // Beside the script.
   void Push(const VisitEvent& event);
