@@ -99,6 +99,10 @@ std::string Reasons(const CaptureOutcome& capture) {
   return text;
 }
 
+bool HasSessions(const SeriesOutcome& outcome) {
+  return std::ranges::any_of(outcome.poses, [](const PoseOutcome& pose) { return !pose.capture.session.empty(); });
+}
+
 // Captures one pose until it is usable. Else than kGo: the operator went back; the operator or a signal ended the
 // series.
 Result<Answer> CaptureUntilUsable(const CaptureJob& job, const SeriesOptions& series, const AskOperator& ask,
@@ -106,8 +110,13 @@ Result<Answer> CaptureUntilUsable(const CaptureJob& job, const SeriesOptions& se
   const std::string name = "pose " + std::to_string(pose.pose);
   while (pose.attempts < series.max_attempts) {
     Result<Attempt> captured = CapturePose(job, pose.pose, pose.attempts + 1, stop, logger);
-    // What was captured before is not lost to a stop between two captures.
+    // What was captured before is not lost to a stop between two captures, nor to a disk that is full by now.
     if (!captured.ok() && stop.stopped()) return Answer::kQuit;
+    if (!captured.ok() && HasSessions(outcome)) {
+      outcome.error = captured.status().WithContext(name).message();
+      logger.Error(outcome.error);
+      return Answer::kQuit;
+    }
     SLX_ASSIGN_OR_RETURN(Attempt attempt, std::move(captured));
     ++pose.attempts;
     pose.capture = std::move(attempt.capture);
@@ -194,7 +203,10 @@ Result<SeriesOutcome> CaptureSeries(const CaptureJob& job, const SeriesOptions& 
     SLX_ASSIGN_OR_RETURN(const Answer answer,
                          CaptureUntilUsable(job, series, ask, stop, logger, SlotOf(outcome, pose), outcome));
     logger.Info(CoverageLine(outcome));
-    if (answer == Answer::kQuit) return outcome;
+    if (answer == Answer::kQuit) {
+      std::erase_if(outcome.poses, [](const PoseOutcome& p) { return p.attempts == 0; });
+      return outcome;
+    }
     pose = answer == Answer::kBack ? std::max(series.first, pose - 1) : pose + 1;
   }
   outcome.finished = true;
@@ -239,8 +251,9 @@ std::string SeriesAsText(const SeriesOutcome& outcome, const std::string& store)
     if (!pose.usable) text += "  " + Reasons(pose.capture) + "\n";
   }
   if (!outcome.finished)
-    text += "the series was ended early; it goes on with --pose " + std::to_string(outcome.next) + " --poses " +
-            std::to_string(outcome.end) + "\n";
+    text += "the series was ended early" + (outcome.error.empty() ? "" : " (" + outcome.error + ")") +
+            "; it goes on with --pose " + std::to_string(outcome.next) + " --poses " + std::to_string(outcome.end) +
+            "\n";
   text += CoverageMaps(outcome);
   const auto sessions = UsableSessions(outcome);
   if (sessions.empty()) return text;
@@ -262,10 +275,11 @@ std::string SeriesAsJson(const SeriesOutcome& outcome) {
                      {"reasons", pose.capture.report.Reasons()},
                      {"notes", pose.notes}});
   for (const CoverageMap& map : outcome.projectors) projectors.push_back(CoverageJson(map));
-  const Json json = {{"poses", poses},
-                     {"finished", outcome.finished},
-                     {"sessions", UsableSessions(outcome)},
-                     {"coverage", {{"camera", CoverageJson(outcome.camera)}, {"projectors", projectors}}}};
+  Json json = {{"poses", poses},
+               {"finished", outcome.finished},
+               {"sessions", UsableSessions(outcome)},
+               {"coverage", {{"camera", CoverageJson(outcome.camera)}, {"projectors", projectors}}}};
+  if (!outcome.error.empty()) json["error"] = outcome.error;
   return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 

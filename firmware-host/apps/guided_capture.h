@@ -40,10 +40,11 @@ struct SeriesOutcome {
   std::vector<PoseOutcome> poses;
   CoverageMap camera;  // of the usable poses
   std::vector<CoverageMap> projectors;
-  bool finished = false;  // not ended by the operator or a signal
-  int first = 0;          // pose of this series
-  int next = 0;           // pose at which an unfinished one goes on
-  int end = 0;            // behind the last pose
+  bool finished = false;   // not ended by the operator, a signal or an error
+  std::string error = {};  // which one: of a later pose than the first, so that those before are told
+  int first = 0;           // pose of this series
+  int next = 0;            // pose at which an unfinished one goes on
+  int end = 0;             // behind the last pose
 };
 
 // One session a pose, the rig opened for each: between them the operator's hands are in the box, and an open door or a
@@ -58,8 +59,8 @@ struct SeriesOutcome {
                                                 Logger& logger);
 
 // For people: one line a pose, coverage, and the command that calibrates. One JSON object for programs: {"poses":
-// [{"pose", "session", "status", "usable", "attempts", "reasons", "notes"}], "finished", "sessions": [usable ones],
-// "coverage": {"camera": {"share", "rows"}, "projectors": [...]}}.
+// [{"pose", "session", "status", "usable", "attempts", "reasons", "notes"}], "finished", "error" (where one ended it),
+// "sessions": [usable ones], "coverage": {"camera": {"share", "rows"}, "projectors": [...]}}.
 [[nodiscard]] std::string SeriesAsText(const SeriesOutcome& outcome, const std::string& store);
 [[nodiscard]] std::string SeriesAsJson(const SeriesOutcome& outcome);
 // 0 all poses usable, 3 some are not, 1 ended early or none is.

@@ -2,6 +2,8 @@
 #include "firmware-host/recording/recorder.h"
 
 #include <algorithm>
+#include <exception>
+#include <string>
 #include <utility>
 
 namespace stratalux::rig {
@@ -44,11 +46,16 @@ Status Recorder::Close() {
 
 void Recorder::WriteFrames() {
   Status status;
-  while (status.ok() && !queue_.exhausted()) {
-    const std::optional<Item> item = queue_.PopFor(kIdle);
-    status = item ? archive_.Append(item->record, item->pixels) : archive_.FlushIfDue();
+  // Of a library, or for memory: on this thread it would take the program with it.
+  try {
+    while (status.ok() && !queue_.exhausted()) {
+      const std::optional<Item> item = queue_.PopFor(kIdle);
+      status = item ? archive_.Append(item->record, item->pixels) : archive_.FlushIfDue();
+    }
+    if (status.ok()) status = archive_.Flush();
+  } catch (const std::exception& error) {
+    status = Status::Failed(std::string("the frames' writer: ") + error.what());
   }
-  if (status.ok()) status = archive_.Flush();
   if (status.ok()) return;
   // The error stands before the queue closes, so that a producer woken by Close finds the reason.
   SetError(status);

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "firmware-host/sequence/capture_run.h"
+#include "firmware-host/sequence/dark_on_exception.h"
 
 namespace stratalux::rig {
 
@@ -73,6 +74,7 @@ Result<CaptureReport> Sequencer::Run(const CapturePlan& plan, FrameSink& sink) {
   SLX_RETURN_IF_ERROR(CheckResponse(plan, options_.witness));
   CaptureObserver silent;
   CaptureRun run(plan, devices_, options_, logger_, observer_ != nullptr ? *observer_ : silent, sink);
+  const DarkOnException guard(devices_);
   Status ended = devices_.camera.Start().WithContext("camera");
   if (ended.ok()) ended = run.Run();
   // Lights first: nothing that follows may keep a lamp on a face.

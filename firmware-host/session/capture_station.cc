@@ -9,6 +9,7 @@
 
 #include "db/catalogue/consent.h"
 #include "firmware-host/recording/session_archive.h"
+#include "firmware-host/sequence/dark_on_exception.h"
 #include "firmware-host/sequence/realtime.h"
 #include "firmware-host/sequence/sequencer.h"
 #include "firmware-host/session/session_calibration.h"
@@ -422,6 +423,7 @@ Result<Shot> CaptureStation::Shoot(const PlanStep& step, const std::function<Res
     return Status::Usage("no projector " + std::to_string(step.projector) + ": the rig has " +
                          std::to_string(devices.projectors.size()));
   const SequencerOptions options = SequencerOptionsFor();
+  const DarkOnException guard(devices);
   SLX_RETURN_IF_ERROR(devices.camera.Start().WithContext("camera"));
   Shooter shooter(devices, options.shooter, options_.config.plan.sync_mode, [&] { return devices.light.Check(); });
   Result<Shot> shot = take(shooter);

@@ -54,6 +54,21 @@ TEST(Recorder, KeepsEveryFrameInOrder) {
   EXPECT_GE(archive.flushes, 1);
 }
 
+// On the writer's thread it would end the program, kiosk and all.
+TEST(Recorder, AnExceptionOfTheArchiveIsAnError) {
+  class Throwing final : public FrameArchive {
+   public:
+    Status Append(const FrameRecord&, const Image<uint16_t>&) override { throw std::bad_alloc(); }
+    Status Flush() override { return Status::Ok(); }
+    Status FlushIfDue() override { return Status::Ok(); }
+  } archive;
+  Recorder recorder(archive, 1, stop);
+  Status put;
+  for (int i = 0; i < 100 && put.ok(); ++i) put = recorder.Put(Step(i), Image<uint16_t>(2, 2));
+  EXPECT_EQ(put.code(), StatusCode::kFailed);
+  EXPECT_NE(recorder.Close().message().find("bad_alloc"), std::string::npos);
+}
+
 TEST(Recorder, BlocksTheProducerInsteadOfDropping) {
   GatedArchive archive;
   Recorder recorder(archive, 2, stop);

@@ -46,6 +46,7 @@ class CountingObserver : public CaptureObserver {
  public:
   Status BeforeShot(const PlanStep& step, int /*retry*/) override {
     ++shots;
+    if (step.index == throw_before) throw std::bad_alloc();
     return step.index == end_before ? Status::Failed("the visitor left") : Status::Ok();
   }
   void OnFault(const PlanStep& step, ShotFault fault) override { faults.emplace_back(step.index, fault); }
@@ -62,7 +63,7 @@ class CountingObserver : public CaptureObserver {
   std::multiset<std::pair<int, int>> shown;  // step and retry
   std::vector<Finding> findings;
   int shots = 0, steps = 0, frames = 0;
-  int end_before = -1;
+  int end_before = -1, throw_before = -1;
   bool end_at_finding = false;
 };
 
@@ -544,6 +545,16 @@ TEST_F(SequencerTest, AnObserverEndsTheCaptureBeforeTheNextShot) {
   ASSERT_EQ(report.findings.size(), 1U);
   EXPECT_EQ(report.findings[0], (Finding{FindingKind::kStopped, -1, observer_.end_before, 0, 0, "the visitor left"}));
   EXPECT_EQ(rig_.camera_triggers, observer_.end_before);
+}
+
+TEST_F(SequencerTest, AnExceptionPassesInTheDark) {
+  observer_.throw_before = StepOf(1, CapturePhase::kSweep);
+  Sequencer sequencer(rig_.devices(), options_, logger_, &observer_);
+  EXPECT_THROW(static_cast<void>(sequencer.Run(plan_, sink_)), std::bad_alloc);
+  EXPECT_THAT(rig_.lit(), IsEmpty());
+  EXPECT_FALSE(rig_.camera_running);
+  observer_.throw_before = -1;
+  EXPECT_EQ(Run().status, SessionStatus::kComplete) << "and the rig serves the next one";
 }
 
 TEST_F(SequencerTest, ALostCaptureEndsAtOnceWhereTheObserverWantsIt) {
