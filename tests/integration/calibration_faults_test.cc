@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // What goes wrong when a rig is calibrated and used, from the command line: each fault is named with its remedy, and
 // none ends in a silently bad result.
+#include <chrono>
 #include <filesystem>
+#include <future>
 #include <string>
 
 #include <gmock/gmock.h>
@@ -58,6 +60,34 @@ class CalibrationFaults : public ::testing::Test {
   static inline fs::path folder_;
   static inline Json series_, exact_;
 };
+
+// The store's index goes between two poses, as with a disk that is pulled: those before are told, and where to go on.
+TEST_F(CalibrationFaults, ASeriesThatAnErrorEndsTellsThePosesBefore) {
+  const fs::path store = Store("gone");
+  auto running = std::async(std::launch::async, [&] {
+    return Execute(Capture("tilted.toml") + " --store " + store.string() + " --json", Show::kStdout);
+  });
+  const auto first_is_whole = [&] {
+    std::error_code error;
+    for (const auto& session : fs::directory_iterator(store / "sessions", error))
+      if (ReadText(session.path() / "manifest.json").find("\"complete\"") != std::string::npos) return true;
+    return false;
+  };
+  while (!first_is_whole() && running.wait_for(std::chrono::milliseconds(20)) != std::future_status::ready) continue;
+  for (const char* name : {"index.sqlite", "index.sqlite-wal", "index.sqlite-shm"}) {
+    std::error_code error;
+    fs::rename(store / name, store / (std::string(name) + ".away"), error);
+  }
+  const Outcome series = running.get();
+  EXPECT_EQ(series.code, 1) << series.out;
+  const Json json = Json::parse(series.out, nullptr, false);
+  ASSERT_TRUE(json.is_object()) << series.out;
+  EXPECT_FALSE(json["finished"]);
+  EXPECT_THAT(json.value("error", ""), HasSubstr("index.sqlite"));
+  EXPECT_GE(json["sessions"].size(), 1U);
+  EXPECT_LT(json["sessions"].size(), 5U);
+  for (const Json& pose : json["poses"]) EXPECT_NE(pose["session"], "") << pose;
+}
 
 TEST_F(CalibrationFaults, ASeriesTellsItsSessionsAndWhatTheBoardCovered) {
   ASSERT_EQ(series_["poses"].size(), 5U);
