@@ -94,10 +94,9 @@ std::vector<CLI::Option*> AddFitOptions(CLI::App& verb, FitFlags& f) {
                   "held still")
       ->check(CLI::IsMember({"on", "off"}))
       ->capture_default_str();
-  verb.add_option(
-          "--maps", f.maps,
-          "on: maps/, too: the layers refined by the projector that is left out, for pictures and exports; off. "
-          "A free fit has none")
+  verb.add_option("--maps", f.maps,
+                  "on: maps/, too: the layers by all projectors, none left out, for pictures and exports; off. "
+                  "A free fit has none")
       ->check(CLI::IsMember({"on", "off"}))
       ->capture_default_str();
   verb.add_flag("--full-evaluation", f.run.full_evaluation,

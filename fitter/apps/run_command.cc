@@ -172,7 +172,7 @@ void AddRunCommands(CLI::App& app, int& exit_code) {
       {"skin", "Tell skin from hair, brows, eyes and nostrils: skin.exr", Stage::kSkin},
       {"srd", "Extract the spatial radiance distributions", Stage::kSrd},
       {"fit", "Fit the layers: layers_*.exr, quality.exr", Stage::kFit},
-      {"maps", "Refine the layers by the projector that the fit leaves out: maps/", Stage::kMaps}};
+      {"maps", "Fit the layers by all projectors, also the one that the fit leaves out: maps/", Stage::kMaps}};
   for (const auto& v : verbs) {
     auto flags = std::make_shared<RunFlags>();
     flags->fit.run.until = v.until;

@@ -276,14 +276,15 @@ KeyAnswers AnswerAsks(const fs::path& store, const fs::path& results, const Shar
     const auto ask = ReadAsk(results, file, asker, plan);
     if (ask.status().code() == StatusCode::kNotFound) continue;
     const auto sent = ask.ok() ? Answer(store, results, plan, *ask, answers.problems) : Result<size_t>(ask.status());
-    if (ask.ok() && IsGone(file)) {
-      fs::remove_all(folder, error);  // it ended, and what was sealed to it opens for nobody
-    } else if (!sent.ok()) {
-      refuse(sent.status().message());
-    } else {
-      ++answers.answered;
+    if (sent.ok()) {
+      ++answers.answered;  // also who has taken it already
       answers.keys += *sent;
     }
+    // Of an asker that ended nobody opens what was sealed to it; of one that has read it the folder went before.
+    if (ask.ok() && IsGone(file))
+      fs::remove_all(folder, error);
+    else if (!sent.ok())
+      refuse(sent.status().message());
   }
   return answers;
 }

@@ -32,7 +32,7 @@ inline constexpr double kAskMinutes = 10.0;
                                                              std::chrono::milliseconds every, int stop, Logger& logger);
 
 struct KeyAnswers {
-  int answered = 0;                   // asks
+  int answered = 0;                   // asks, also of who ended meanwhile
   size_t keys = 0;                    // that went with them; each is logged before
   std::vector<std::string> problems;  // a line each: asks that are refused, keys that are not here
 };

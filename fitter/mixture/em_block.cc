@@ -25,14 +25,12 @@ void AddBack(const LaneRow& back, LaneRows& q) {
 }  // namespace
 
 EmBlock::EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::vector<uint8_t>> usable,
-                 std::span<const int> cells_per_sample, const EmOptions& options, const StartLayers& start,
-                 const MixtureMap* warm)
+                 std::span<const int> cells_per_sample, const EmOptions& options, const StartLayers& start)
     : options_(options),
-      most_sweeps_(start.empty() && warm == nullptr ? options.max_iterations : options.refinement_iterations),
+      most_sweeps_(start.empty() ? options.max_iterations : options.refinement_iterations),
       batches_(lights),
       usable_(usable),
       start_(start),
-      warm_(warm),
       accelerated_(options.accelerated),
       lights_(lights.size()),
       rows_{options.layers, static_cast<int>(lights.size())} {
@@ -95,7 +93,6 @@ void EmBlock::Begin(int lane, size_t trial, double photons) {
   ClearLayers(lane);
   Start(lane, photons);
   lanes_[lane].last_pass = most_sweeps_ == 0;
-  lanes_[lane].to_warm = warm_ != nullptr;
 }
 
 void EmBlock::Start(int lane, double photons) {
@@ -172,34 +169,6 @@ void EmBlock::StartFrom(const LayerSet& layers, int lane, double total) {
     At(rows_.weight(l), lane) = static_cast<float>(layers.weight[l] / std::max(sum, 1e-9) * total);
     At(rows_.depth(l), lane) = options_.direction_blind ? 0.0F : static_cast<float>(layers.depth_mm[l]);
     At(rows_.sigma(l), lane) = std::max(static_cast<float>(layers.sigma_mm[l]), bounds_.least_sigma_mm[lane]);
-  }
-}
-
-// The prior's photons are shared out as the mean layers show them; the sweeps start from the fit's layers. A surface
-// that EM holds, or that it leaves where it starts, is that of every start.
-void EmBlock::GoToWarmStart() {
-  if (std::ranges::none_of(lanes_, &Lane::to_warm)) return;
-  if (prior_.On()) {
-    prior_.BeginSweep();
-    float* factor = factor_.empty() ? nullptr : factor_.data();
-    for (int p = 0; p < rows_.lights; ++p) {
-      const EmLight& light = lights_[p];
-      if (factor != nullptr) DirectionalFactors(rows_, options_.scattering.directional, at_.data(), light, factor);
-      PlaceLayers(rows_, at_.data(), light, factor, cell_weight_.data(), cell_mean_.data(), cell_sigma_.data());
-      prior_.AddShown(p, light, at_.data(), cell_weight_.data());
-    }
-    prior_.ShareOut();
-  }
-  for (int lane = 0; lane < kEmLanes; ++lane) {
-    if (!std::exchange(lanes_[lane].to_warm, false)) continue;
-    TakeLayersOf(*warm_, lane);
-    for (int l = 0; l < rows_.layers; ++l)
-      At(rows_.sigma(l), lane) =
-          std::clamp(At(rows_.sigma(l), lane), bounds_.least_sigma_mm[lane], bounds_.most_sigma_mm[lane]);
-    if (!options_.background_term) continue;
-    const float background = MeanOfLights(*warm_, lanes_[lane].profile).background;
-    for (int p = 0; p < rows_.lights; ++p)
-      if (lights_[p].counts[lane] > 0.0F) At(rows_.background(p), lane) = background;
   }
 }
 
@@ -419,7 +388,6 @@ void EmBlock::Fit(std::span<const int64_t> profiles, std::span<const double> pho
   };
   for (int lane = 0; lane < kEmLanes && next < profiles.size(); ++lane, ++busy) take_next(lane);
   while (busy > 0) {
-    GoToWarmStart();
     int sweeping = 0;
     std::array<bool, kEmLanes> finished{};
     for (int i = 0; i < kEmLanes; ++i) {
@@ -450,17 +418,13 @@ void EmBlock::Fit(std::span<const int64_t> profiles, std::span<const double> pho
   }
 }
 
-void EmBlock::TakeLayersOf(const MixtureMap& fit, int lane) {
+void EmBlock::Take(const MixtureMap& fit, int lane) {
   for (int l = 0; l < rows_.layers; ++l) {
     const size_t at = static_cast<size_t>(lanes_[lane].profile) * fit.layers + l;
     At(rows_.weight(l), lane) = fit.weight[at];
     At(rows_.depth(l), lane) = fit.depth_mm[at];
     At(rows_.sigma(l), lane) = fit.sigma_mm[at];
   }
-}
-
-void EmBlock::Take(const MixtureMap& fit, int lane) {
-  TakeLayersOf(fit, lane);
   const UnlayeredLight mean = MeanOfLights(fit, lanes_[lane].profile);
   for (int p = 0; p < rows_.lights; ++p) {
     const float reflected = lights_[p].reflected[lane];

@@ -25,11 +25,9 @@ namespace stratalux::fit {
 class EmBlock {
  public:
   // usable[light][profile] says which lights count for a profile; cells_per_sample[light]: of each profile of the block
-  // (CellsPerSample). `warm`: a map in which all profiles of the block are fitted, with as many layers; EM starts from
-  // its layers, and `start` is the prior's centre alone.
+  // (CellsPerSample).
   EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::vector<uint8_t>> usable,
-          std::span<const int> cells_per_sample, const EmOptions& options, const StartLayers& start,
-          const MixtureMap* warm = nullptr);
+          std::span<const int> cells_per_sample, const EmOptions& options, const StartLayers& start);
 
   // Sweeps each of `profiles` until its divergence settles, with a prior of each of `photons` (at least one, 0: none;
   // in the place of options.prior's): loaded once, it is fitted as often. done(lane, profile, trial) finds the results
@@ -78,7 +76,6 @@ class EmBlock {
     double own = 0.0;    // of them, the profile's light
     int sweeps = 0;
     bool last_pass = false;  // the layers are final: only their divergence is missing
-    bool to_warm = false;    // holds the prior's centre, and goes to the warm start before it is swept
     double best = std::numeric_limits<double>::infinity(), checked = best;
     double momentum = 1.0;  // Nesterov's t
     double scale = 1.0;     // of the model to the white frames
@@ -90,11 +87,9 @@ class EmBlock {
   void Begin(int lane, size_t trial, double photons);
   void Start(int lane, double photons);
   [[nodiscard]] EmPrior PriorFor(std::span<const double> photons) const;
-  void TakeLayersOf(const MixtureMap& fit, int lane);
   void Take(const MixtureMap& fit, int lane);
   void SpreadLayers(int lane, double total, double widest_mm);
   void StartFrom(const LayerSet& layers, int lane, double total);
-  void GoToWarmStart();
   void Sweep(bool update);
   void AddWhite(int light);
   void UpdateFloor(int light);
@@ -114,7 +109,6 @@ class EmBlock {
   std::span<const SrdBatch* const> batches_;
   std::span<const std::vector<uint8_t>> usable_;
   StartLayers start_;
-  const MixtureMap* warm_ = nullptr;
   bool accelerated_ = false;
   std::vector<EmLight> lights_;
   ParameterRows rows_;

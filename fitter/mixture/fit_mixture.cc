@@ -148,23 +148,23 @@ std::vector<Task> TasksOf(std::span<const SrdBatch* const> lights, const Judgeme
 // work(block, profiles), from several threads, for all usable profiles: a block for those that may share it.
 template <typename Work>
 void ForEachTask(std::span<const SrdBatch* const> lights, const Judgement& judged, int channels,
-                 const EmOptions& options, const StartLayers& start, const MixtureMap* warm, const Work& work) {
+                 const EmOptions& options, const StartLayers& start, const Work& work) {
   std::vector<int64_t> order;
   const std::vector<Task> tasks = TasksOf(lights, judged, channels, options, order);
   ParallelEach(tasks.size(), [&](size_t t) {
-    EmBlock em(lights, judged.usable, tasks[t].cells_per_sample, options, start, warm);
+    EmBlock em(lights, judged.usable, tasks[t].cells_per_sample, options, start);
     work(em, tasks[t].profiles);
   });
 }
 
 // Runs EM on all usable profiles with each of `photons`; `done(block, lane, profile, trial)` and `progress(profiles)`,
-// once a task, are called from several threads. `warm`: as of EmBlock.
+// once a task, are called from several threads. `trace`: of the first `traced` sweeps (EmBlock::TraceCosts).
 template <typename Done>
 void ForEachProfile(std::span<const SrdBatch* const> lights, const Judgement& judged, int channels,
                     const EmOptions& options, const StartLayers& start, std::span<const double> photons,
-                    const std::function<void(int64_t)>& progress, const Done& done, const MixtureMap* warm = nullptr,
-                    int traced = 0, const std::function<void(int64_t, int, double)>& trace = {}) {
-  ForEachTask(lights, judged, channels, options, start, warm, [&](EmBlock& em, std::span<const int64_t> profiles) {
+                    const std::function<void(int64_t)>& progress, const Done& done, int traced = 0,
+                    const std::function<void(int64_t, int, double)>& trace = {}) {
+  ForEachTask(lights, judged, channels, options, start, [&](EmBlock& em, std::span<const int64_t> profiles) {
     em.TraceCosts(traced, trace);
     em.Fit(profiles, photons, [&](int lane, int64_t profile, size_t trial) { done(em, lane, profile, trial); });
     if (progress) progress(static_cast<int64_t>(profiles.size()));
@@ -221,21 +221,39 @@ Status EmOptions::Validate() const {
   return Status::Ok();
 }
 
-Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors, int width,
-                              int height, int channels, const EmOptions& options, const StartLayers& start,
-                              const std::function<void(int64_t)>& progress) {
+Result<TracedFit> FitTraced(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors, int width,
+                            int height, int channels, const EmOptions& options, const StartLayers& start, int traced,
+                            const std::function<void(int64_t)>& progress) {
   const int64_t profiles = int64_t{width} * height * channels;
   SLX_RETURN_IF_ERROR(CheckFit(lights, profiles, channels, options, start));
-  MixtureMap map = EmptyMap(width, height, channels, options, projectors);
+  TracedFit fit{EmptyMap(width, height, channels, options, projectors), {}, {}};
+  MixtureMap& map = fit.map;
   Judgement judged = JudgeAll(lights);
   map.reason = std::move(judged.reason);
   if (!start.empty() && options.prior.photons > 0.0) {
     map.prior_photons = options.prior.photons;
     map.prior_share.assign(static_cast<size_t>(profiles), 0.0F);
   }
-  ForEachProfile(lights, judged, channels, options, start, {&options.prior.photons, 1}, progress,
-                 [&](const EmBlock& em, int lane, int64_t i, size_t /*trial*/) { TakeFit(em, lane, i, options, map); });
-  return map;
+  fit.cost.assign(static_cast<size_t>(profiles), std::nanf(""));
+  fit.cost_after.assign(static_cast<size_t>(profiles) * static_cast<size_t>(traced), std::nanf(""));
+  ForEachProfile(
+      lights, judged, channels, options, start, {&options.prior.photons, 1}, progress,
+      [&](const EmBlock& em, int lane, int64_t i, size_t /*trial*/) {
+        TakeFit(em, lane, i, options, map);
+        fit.cost[i] = static_cast<float>(em.Cost(lane));
+        for (int s = em.Sweeps(lane); s < traced; ++s) fit.cost_after[i * traced + s] = fit.cost[i];
+      },
+      traced,
+      [&](int64_t i, int swept, double cost) { fit.cost_after[i * traced + swept - 1] = static_cast<float>(cost); });
+  return fit;
+}
+
+Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors, int width,
+                              int height, int channels, const EmOptions& options, const StartLayers& start,
+                              const std::function<void(int64_t)>& progress) {
+  SLX_ASSIGN_OR_RETURN(TracedFit fit,
+                       FitTraced(lights, projectors, width, height, channels, options, start, 0, progress));
+  return std::move(fit.map);
 }
 
 Result<ProfileLayers> FitNeighbours(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
@@ -261,117 +279,6 @@ Result<MixtureMap> FitAmongNeighbours(std::span<const SrdBatch* const> lights, c
                                                   {mean, &near, options.prior.photons}, progress));
   map.session_photons = options.prior.photons;
   return map;
-}
-
-MixtureMap UnfittedMap(int width, int height, int channels, const EmOptions& options) {
-  MixtureMap map = EmptyMap(width, height, channels, options, {});
-  map.prior_photons = options.prior.photons;
-  return map;
-}
-
-namespace {
-
-// Of each light of `projectors` its place among those of `fit`; -1: a further one. Empty: they are not in that order.
-std::vector<int> PlacesInFit(const std::vector<int>& projectors, const std::vector<int>& of_fit) {
-  std::vector<int> places;
-  int next = 0;
-  for (const int projector : projectors) {
-    const bool known = std::ranges::find(of_fit, projector) != of_fit.end();
-    if (known && (next == static_cast<int>(of_fit.size()) || of_fit[next] != projector)) return {};
-    places.push_back(known ? next++ : -1);
-  }
-  return next == static_cast<int>(of_fit.size()) ? places : std::vector<int>{};
-}
-
-// Rows of `values` with a place for each of the lights: further ones have 0.
-std::vector<float> WithFurtherLights(const std::vector<float>& values, size_t profiles, size_t lights,
-                                     const std::vector<int>& places) {
-  std::vector<float> all(profiles * places.size(), 0.0F);
-  for (size_t i = 0; i < profiles; ++i)
-    for (size_t p = 0; p < places.size(); ++p)
-      if (places[p] >= 0) all[i * places.size() + p] = values[i * lights + static_cast<size_t>(places[p])];
-  return all;
-}
-
-// Usable profiles by what a refinement does with them; the others it leaves as they are.
-struct Division {
-  std::vector<int64_t> refined, added;
-  int64_t kept = 0, unusable = 0;
-};
-
-Division Divide(std::span<const SrdBatch* const> lights, const Judgement& judged, const MixtureMap& fit,
-                const std::vector<int>& places) {
-  Division parts;
-  for (const int64_t i : judged.work) {
-    bool reached = false, unusable = false;
-    for (size_t p = 0; p < places.size(); ++p) {
-      if (places[p] >= 0) continue;
-      reached = reached || judged.usable[p][i] != 0;
-      unusable = unusable || (judged.usable[p][i] == 0 && lights[p]->valid[i] != 0);
-    }
-    if (!fit.Fitted(i))
-      parts.added.push_back(i);
-    else if (reached)
-      parts.refined.push_back(i);
-    else
-      ++parts.kept;
-    parts.unusable += unusable ? 1 : 0;
-  }
-  return parts;
-}
-
-}  // namespace
-
-Result<RefinedMap> RefineMixture(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
-                                 MixtureMap fit, int sweeps, const EmOptions& given, const StartLayers& start,
-                                 const std::function<void(int64_t)>& progress, int traced) {
-  EmOptions options = given;
-  options.scattering = fit.scattering;
-  options.prior.photons = fit.prior_photons;
-  SLX_RETURN_IF_ERROR(CheckFit(lights, fit.profiles(), fit.channels, options, start));
-  SLX_CHECK(options.scattering.mode == FitMode::kTied && options.layers == fit.layers && sweeps >= 0);
-  const std::vector<int> places = PlacesInFit(projectors, fit.training_projectors);
-  if (places.empty()) return Status::Usage("a map is refined by its own lights, in their order, and further ones");
-  Judgement judged = JudgeAll(lights);
-  const Division parts = Divide(lights, judged, fit, places);
-
-  RefinedMap refined{std::move(fit),
-                     static_cast<int64_t>(parts.refined.size()),
-                     parts.kept,
-                     static_cast<int64_t>(parts.added.size()),
-                     parts.unusable,
-                     {},
-                     {}};
-  MixtureMap& map = refined.map;
-  const auto profiles = static_cast<size_t>(map.profiles());
-  refined.cost.assign(profiles, std::nanf(""));
-  refined.cost_after.assign(profiles * static_cast<size_t>(traced), std::nanf(""));
-  for (auto* values : {&map.surface, &map.background})
-    *values = WithFurtherLights(*values, profiles, map.training_projectors.size(), places);
-  map.training_projectors = projectors;
-  if (!start.empty() && map.prior_photons > 0.0) map.prior_share.resize(profiles, 0.0F);
-  for (size_t i = 0; i < profiles; ++i)
-    if (judged.reason[i] != static_cast<uint8_t>(FitReason::kFitted)) map.reason[i] = judged.reason[i];
-  const auto sweep = [&](const std::vector<int64_t>& work, const EmOptions& how, const MixtureMap* warm) {
-    judged.work = work;
-    for (const int64_t i : work) map.reason[i] = static_cast<uint8_t>(FitReason::kFitted);
-    ForEachProfile(
-        lights, judged, map.channels, how, start, {&options.prior.photons, 1}, progress,
-        [&](const EmBlock& em, int lane, int64_t i, size_t /*trial*/) {
-          TakeFit(em, lane, i, options, map);
-          refined.cost[i] = static_cast<float>(em.Cost(lane));
-          for (int s = em.Sweeps(lane); s < traced; ++s) refined.cost_after[i * traced + s] = refined.cost[i];
-        },
-        warm, traced,
-        [&](int64_t i, int swept, double cost) {
-          refined.cost_after[i * traced + swept - 1] = static_cast<float>(cost);
-        });
-  };
-  EmOptions few = options;
-  few.refinement_iterations = sweeps;
-  sweep(parts.refined, few, &map);  // a profile's layers are read before they are written, by one thread
-  sweep(parts.added, options, nullptr);
-  return refined;
 }
 
 Result<std::vector<MixtureMap>> FitWithPriors(std::span<const SrdBatch* const> lights,
@@ -452,7 +359,7 @@ std::vector<std::vector<double>> DivergencesFrom(std::span<const MixtureMap> fit
   const Judgement judged = JudgeAll(lights);
   std::vector<std::vector<double>> divergence(fits.size(),
                                               std::vector<double>(static_cast<size_t>(light.profiles()), std::nan("")));
-  ForEachTask(lights, judged, channels, options, {}, nullptr, [&](EmBlock& em, std::span<const int64_t> profiles) {
+  ForEachTask(lights, judged, channels, options, {}, [&](EmBlock& em, std::span<const int64_t> profiles) {
     em.CompareWith(profiles, fits, [&](int64_t i, size_t fit, double photons) {
       if (fits[fit].Fitted(i)) divergence[fit][i] = photons;
     });

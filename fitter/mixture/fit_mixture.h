@@ -40,33 +40,19 @@ Result<MixtureMap> FitAmongNeighbours(std::span<const SrdBatch* const> lights, c
                                       std::span<const LayerSet> mean, double spacing_mm, double photons,
                                       const std::function<void(int64_t)>& progress = {});
 
-// A map of which nothing is fitted, by no light, with the prior of `options`: to refine it is to fit it.
-[[nodiscard]] MixtureMap UnfittedMap(int width, int height, int channels, const EmOptions& options);
-
-// A map of some lights, refined by all.
-struct RefinedMap {
+// A fit and what it cost: what EM lowers (EmBlock::Cost), in photons.
+struct TracedFit {
   MixtureMap map;
-  // Profiles: swept on from the map's layers; left as they were, as none of the further lights reaches them; fitted
-  // anew, as only those do.
-  int64_t refined = 0, kept = 0, added = 0;
-  // Of all these, how many have samples of a further light that no fit can use: not finite, dark, behind the horizon.
-  int64_t unusable = 0;
-  // [profile] What EM lowers (EmBlock::Cost), in photons; NaN where it did not sweep.
-  std::vector<float> cost;
+  std::vector<float> cost;  // [profile] NaN where nothing was fitted
   // [profile][sweep - 1] The cost had that sweep been the last, of as many sweeps as were to be traced; of those that
   // settled before, what they settled at.
   std::vector<float> cost_after;
 };
-
-// Tied EM that goes on, in place, from `fit`, a map of the same profiles fitted to some of `projectors`, on all of
-// `lights`: `sweeps` at most of each profile that was fitted and that a further light reaches. A profile that none of
-// them reaches keeps what it has, bit for bit; one that only they reach is fitted as by FitMixture. What all profiles
-// share (scattering, N0) is that of `fit`. `start`: the centre of the prior, and where profiles start that are fitted
-// anew; a result of fewer sweeps is that of as many, so `traced` of them tell what fewer would have cost. kUsage where
-// the lights of `fit` are not among `projectors`, in their order.
-Result<RefinedMap> RefineMixture(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
-                                 MixtureMap fit, int sweeps, const EmOptions& options, const StartLayers& start = {},
-                                 const std::function<void(int64_t)>& progress = {}, int traced = 0);
+// FitMixture, the same bits; a result of fewer sweeps is that of as many, so `traced` of them tell what fewer would
+// have cost.
+Result<TracedFit> FitTraced(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors, int width,
+                            int height, int channels, const EmOptions& options, const StartLayers& start = {},
+                            int traced = 0, const std::function<void(int64_t)>& progress = {});
 
 // FitMixture of a row of pixels with each of `photons` (at least one) for options.prior.photons: the same bits. What
 // does not depend on the prior is worked out once. Divergences, sweeps and prior shares are not: they stay 0.

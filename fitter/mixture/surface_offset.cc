@@ -73,8 +73,8 @@ class Trials {
       lights.push_back(&batch);
     }
     SLX_ASSIGN_OR_RETURN(const auto mean, MeanLayers(lights, channels_, options_, 1));
-    const MixtureMap none = UnfittedMap(static_cast<int>(pixels_), 1, channels_, options_);
-    SLX_ASSIGN_OR_RETURN(const auto fit, RefineMixture(lights, projectors_, none, 0, options_, mean));
+    SLX_ASSIGN_OR_RETURN(const auto fit,
+                         FitTraced(lights, projectors_, static_cast<int>(pixels_), 1, channels_, options_, mean));
     std::vector<double> costs(pixels_, 0.0);
     for (size_t i = 0; i < fit.cost.size(); ++i) costs[i / static_cast<size_t>(channels_)] += fit.cost[i];
     return costs;

@@ -31,11 +31,6 @@ class Kept {
     value_.emplace(std::move(value));
     key_ = key;
   }
-  // What is kept of `key`, no longer kept.
-  [[nodiscard]] std::optional<T> Take(const std::string& key) {
-    if (!value_ || key != key_) return std::nullopt;
-    return std::exchange(value_, std::nullopt);
-  }
   // The value that is kept, or nullptr; who changes it, changes it for all who have it.
   T* Get() { return value_ ? &*value_ : nullptr; }
   void Drop() { value_.reset(); }

@@ -172,7 +172,7 @@ Result<ShownLayers> LayersToShow(StageGraph& stages, const std::map<std::string,
   if (maps == keys.end()) return ShownOf(fit, projectors);
   SLX_ASSIGN_OR_RETURN(const auto layers, stages.Load(maps->second, LoadMaps));
   ShownLayers shown = ShownOf(layers, projectors);
-  SLX_ASSIGN_OR_RETURN(shown.refined, stages.Load(maps->second, LoadMapsFigures));
+  SLX_ASSIGN_OR_RETURN(shown.of_all, stages.Load(maps->second, LoadMapsFigures));
   return shown;
 }
 

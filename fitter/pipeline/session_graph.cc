@@ -374,25 +374,17 @@ std::string SessionGraph::AddFit(const SrdKeys& from, int heldout, const FitOpti
 
 std::string SessionGraph::Maps() {
   const SrdKeys from = SrdsOf(options_.geometry, kNoneHeldOut);
-  const std::string fit = Fit(options_.geometry, options_.heldout, FitKind::kJudged);
   SortedJson options = SortedJson::parse(FitOptionsJson(options_.fit));
   options["heldout"] = options_.heldout;
-  auto inputs = from.Inputs();
-  auto upstream = from.Upstream();
-  inputs["fit"] = fit;
-  upstream.push_back(fit);
-  return Add({{"maps", kMapsVersion, options.dump(), inputs, isa_},
-              "maps, all projectors",
-              upstream,
+  const std::string label = "maps, all projectors";
+  return Add({{"maps", kMapsVersion, options.dump(), from.Inputs(), isa_},
+              label,
+              from.Upstream(),
               [=, this](const fs::path& folder) -> Status {
-                auto kept = judged_layers_.Take(fit);
                 MakeRoomForAFit();
                 SLX_ASSIGN_OR_RETURN(const SrdSet* srds, Srds(from, FitKind::kJudged, options_.heldout));
-                SLX_ASSIGN_OR_RETURN(auto layers,
-                                     kept ? Result<FittedLayers>(*std::move(kept)) : stages_.Load(fit, LoadLayers));
-                SLX_ASSIGN_OR_RETURN(const auto refined, RefineLayers(*srds, options_.heldout, std::move(layers),
-                                                                      options_.fit, logger_, "maps, all projectors"));
-                return SaveMaps(folder, refined);
+                SLX_ASSIGN_OR_RETURN(const auto made, FitMaps(*srds, options_.heldout, options_.fit, logger_, label));
+                return SaveMaps(folder, made);
               }});
 }
 

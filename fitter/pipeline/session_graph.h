@@ -60,7 +60,7 @@ class SessionGraph {
   // The surface put right by that; Shape where there is none.
   std::string PlacedShape(GeometrySource source, int heldout, FitKind kind = FitKind::kJudged);
   std::string Fit(GeometrySource source, int heldout, FitKind kind);
-  // Of the judged fit: its layers, refined by all projectors.
+  // Layers by all projectors, the judged fit's beside.
   std::string Maps();
   std::string StandardErrors();
   // Of the placed surface, by the layers that are shown: of all projectors where they are made, else the judged fit's.

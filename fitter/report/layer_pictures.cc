@@ -75,16 +75,16 @@ std::string WeakCaption(const ShownLayers& shown) {
          (shown.neighbours ? "those of their neighbours." : "the mean of the session.");
 }
 
-ReportTable RefinedTable(const MapsFigures& f) {
-  const bool tried = !f.warm.trials.empty();
-  return {
-      "Layers of the fit, refined by the projector that it leaves out: profiles; sweeps, and how far they end above "
-      "EM that has settled, on a sample of profiles",
-      {"refined", "not reached, as fitted", "reached by that projector alone", "its samples unusable", "sweeps",
-       "nats above", "sampled"},
-      {{std::to_string(f.refined), std::to_string(f.kept), std::to_string(f.added), std::to_string(f.unusable),
-        std::to_string(f.warm.sweeps), tried ? Fixed(f.warm.trials.back().excess_nats) : "-",
-        std::to_string(f.warm.profiles)}}};
+ReportTable MapsTable(const MapsFigures& f) {
+  ReportTable table{
+      "Profiles of these layers, which are fitted " + f.provenance + ", none left out; why the others are not",
+      {"fitted"},
+      {{std::to_string(f.fitted)}}};
+  for (const auto& [reason, count] : f.masked_by_reason) {
+    table.header.push_back(reason);
+    table.rows[0].push_back(std::to_string(count));
+  }
+  return table;
 }
 
 }  // namespace
@@ -107,7 +107,7 @@ ReportSection LayerPictures(const ShownLayers& shown) {
           shallow + " mm, deep from " + deep +
           " mm on, a third of all light in each. Dark grey: not fitted, or not to be told. The maps are in this fit's "
           "folder" +
-          (shown.refined ? std::string(", below ") + kMapsFolder + "/," : std::string()) + " as EXR files.",
+          (shown.of_all ? std::string(", below ") + kMapsFolder + "/," : std::string()) + " as EXR files.",
       {},
       {},
       {}};
@@ -138,7 +138,7 @@ ReportSection LayerPictures(const ShownLayers& shown) {
   });
   section.images.push_back(
       Scaled("Quality: signal over noise of a pixel's samples." + WeakCaption(shown), ratio, 0, ""));
-  if (shown.refined) section.tables.push_back(RefinedTable(*shown.refined));
+  if (shown.of_all) section.tables.push_back(MapsTable(*shown.of_all));
   return section;
 }
 

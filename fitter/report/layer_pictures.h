@@ -13,11 +13,11 @@ namespace stratalux::fit {
 // What of a map of layers is shown.
 struct ShownLayers {
   LayerMaps maps;
-  Image<float> signal_to_noise;             // W x H x C, of SignalToNoise()
-  double session_photons = 0.0;             // N0 of the session's mean; 0: no prior
-  bool neighbours = false;                  // the prior is centred on neighbours' layers
-  std::string provenance;                   // ProvenanceOf
-  std::optional<MapsFigures> refined = {};  // of maps from all projectors
+  Image<float> signal_to_noise;            // W x H x C, of SignalToNoise()
+  double session_photons = 0.0;            // N0 of the session's mean; 0: no prior
+  bool neighbours = false;                 // the prior is centred on neighbours' layers
+  std::string provenance;                  // ProvenanceOf
+  std::optional<MapsFigures> of_all = {};  // of maps from all projectors
 };
 // `projectors`: of the rig.
 [[nodiscard]] ShownLayers ShownOf(const FittedLayers& layers, int projectors);

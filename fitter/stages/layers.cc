@@ -8,10 +8,10 @@
 #include <nlohmann/json.hpp>
 
 #include "fitter/mixture/choose_prior.h"
+#include "fitter/mixture/choose_sweeps.h"
 #include "fitter/mixture/em_light.h"
 #include "fitter/mixture/estimate_directions.h"
 #include "fitter/mixture/free_fit.h"
-#include "fitter/mixture/warm_start.h"
 #include "shared/base/formatted.h"
 
 namespace stratalux::fit {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The maps stage: the layers that are shown and exported, from all projectors. The fit leaves one out, by which it is
-// judged; here its layers are refined by that one's sweep, too (docs/math/em.md, "Maps from all projectors"). Nothing
-// that judges a fit reads them.
+// judged; these are a fit of their own (docs/math/em.md, "Maps from all projectors"), and nothing that judges a fit
+// reads them.
 #pragma once
 
 #include <filesystem>
@@ -9,35 +9,33 @@
 #include <string>
 #include <vector>
 
-#include "fitter/mixture/warm_start.h"
 #include "fitter/stages/layers.h"
 #include "fitter/stages/layers_file.h"
 
 namespace stratalux::fit {
 
-inline constexpr int kMapsVersion = 7;
+inline constexpr int kMapsVersion = 8;
 
 struct MapsFigures {
   std::string provenance;       // ProvenanceOf
   std::vector<int> projectors;  // whose sweeps the layers are fitted to, each once
   int heldout = 0;              // of them, the one that the fit left out
-  WarmStartChoice warm;
-  // Profiles, as of RefinedMap.
-  int64_t refined = 0, kept = 0, added = 0, unusable = 0;
+  int64_t fitted = 0;           // profiles
+  std::map<std::string, int64_t> masked_by_reason;
   double divergence = 0.0;  // median of what is fitted
 };
 
-struct RefinedLayers {
+struct AllLayers {
   FittedLayers layers;
   MapsFigures figures;
 };
 
-// `fit`: made of the same SRDs without `heldout`, and with `options`, tied.
-[[nodiscard]] Result<RefinedLayers> RefineLayers(const SrdSet& srds, int heldout, FittedLayers fit,
-                                                 const FitOptions& options, Logger& logger, const std::string& label);
+// `heldout`: of the fit that these stand beside.
+[[nodiscard]] Result<AllLayers> FitMaps(const SrdSet& srds, int heldout, const FitOptions& options, Logger& logger,
+                                        const std::string& label);
 
 // maps/: the files of SaveLayers and WriteLayerMaps, and maps.json.
-Status SaveMaps(const std::filesystem::path& folder, const RefinedLayers& refined);
+Status SaveMaps(const std::filesystem::path& folder, const AllLayers& made);
 [[nodiscard]] Result<FittedLayers> LoadMaps(const std::filesystem::path& folder);
 [[nodiscard]] Result<MapsFigures> LoadMapsFigures(const std::filesystem::path& folder);
 

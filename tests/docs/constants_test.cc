@@ -17,8 +17,8 @@
 
 #include "fitter/evaluation/direct_light.h"
 #include "fitter/mixture/choose_prior.h"
+#include "fitter/mixture/choose_sweeps.h"
 #include "fitter/mixture/em_options.h"
-#include "fitter/mixture/warm_start.h"
 #include "fitter/photometric/fuse_normals.h"
 #include "fitter/pipeline/run_options.h"
 #include "fitter/profiles/profile_em.h"
@@ -304,8 +304,8 @@ std::map<std::string, double> Compiled() {
           {"kUsualPriorPhotons", kUsualPriorPhotons},
           {"EmOptions::max_iterations", em.max_iterations},
           {"EmOptions::refinement_iterations", em.refinement_iterations},
-          {"kWarmToleranceNats", kWarmToleranceNats},
-          {"kWarmPixels", static_cast<double>(kWarmPixels)},
+          {"kSweepToleranceNats", kSweepToleranceNats},
+          {"kSweepPixels", static_cast<double>(kSweepPixels)},
           {"EmOptions::tolerance", em.tolerance},
           {"EmOptions::cells_per_sample", em.cells_per_sample},
           {"EmOptions::max_cell_mm", em.max_cell_mm},

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // What maps from all projectors are worth on a simulated visitor, whose truth is known: against the fit that leaves one
-// out, and against fitting all four anew (docs/math/em.md, "Maps from all projectors").
+// out (docs/math/em.md, "Maps from all projectors").
 //   STRATALUX_VISITOR_SIZE=696x520 STRATALUX_SEED=12 maps_worth_test     prints the figures of another visitor
 //   STRATALUX_VISITOR_STORE=store maps_worth_test                        of the one of that store
 #include <cmath>
@@ -16,7 +16,6 @@
 #include "fitter/evaluation/image_error.h"
 #include "fitter/evaluation/predict.h"
 #include "fitter/evaluation/truth.h"
-#include "fitter/pipeline/stopwatch.h"
 #include "fitter/session/session_frames.h"
 #include "fitter/stages/maps.h"
 #include "fitter/stages/skin.h"
@@ -35,11 +34,6 @@ std::string Given(const char* variable, const char* otherwise) {
 }
 
 constexpr int kHeldOut = 3, kProjectors = 4;
-
-struct Figures {
-  double nats = 0.0;   // a profile and light: divergence of the samples of all four lights
-  double error = 0.0;  // NRMSE of the subsurface light without noise, mean over lights and projectors
-};
 
 class MapsWorth : public ScratchFolderTest {
  protected:
@@ -88,21 +82,6 @@ class MapsWorth : public ScratchFolderTest {
   Logger logger_;
 };
 
-double NatsOf(const SrdSet& srds, const MixtureMap& map, const std::vector<uint8_t>& judged) {
-  EmOptions options;
-  options.scattering = map.scattering;
-  double sum = 0.0, count = 0.0;
-  for (const SrdBatch& light : srds.batches) {
-    const auto divergence = DivergencesFrom({&map, 1}, light, srds.channels, options);
-    for (size_t i = 0; i < judged.size(); ++i)
-      if (judged[i] != 0 && std::isfinite(divergence[0][i])) {
-        sum += divergence[0][i];
-        count += 1.0;
-      }
-  }
-  return sum / count;
-}
-
 // Of all maps, on one mask: skin that the light truly reaches and that each of them has fitted.
 std::vector<double> ErrorsOf(const std::vector<const MixtureMap*>& maps, const FaceShape& shape,
                              const SceneTruth& truth, const PlanOptions& plan, int pool) {
@@ -136,48 +115,24 @@ std::vector<double> ErrorsOf(const std::vector<const MixtureMap*>& maps, const F
   return errors;
 }
 
-TEST_F(MapsWorth, AreNearerToTheTruthThanTheFitOfThreeAndCostLessThanOneOfFour) {
+TEST_F(MapsWorth, AreNearerToTheTruthThanTheFitOfThree) {
   const auto fit = LoadLayers(Artifact("fit"));
   ASSERT_TRUE(fit.ok()) << fit.status().message();
   const FitOptions options;
-  Stopwatch warm_watch;
-  const auto maps = RefineLayers(srds_, kHeldOut, *fit, options, logger_, "maps");
-  const double warm_seconds = warm_watch.CpuSeconds();
+  const auto maps = FitMaps(srds_, kHeldOut, options, logger_, "maps");
   ASSERT_TRUE(maps.ok()) << maps.status().message();
-  Stopwatch cold_watch;
-  const auto cold = FitLayers(srds_, kNoneHeldOut, options, logger_, "all four anew");
-  const double cold_seconds = cold_watch.CpuSeconds();
-  ASSERT_TRUE(cold.ok()) << cold.status().message();
   // Ablation: the fourth light's samples are those of a light from the other side.
   SrdSet wrong = srds_;
   for (float& slope : wrong.batches[kHeldOut].slope_in) slope = -slope;
-  const auto spoilt = RefineLayers(wrong, kHeldOut, *fit, options, logger_, "spoilt");
+  const auto spoilt = FitMaps(wrong, kHeldOut, options, logger_, "spoilt");
   ASSERT_TRUE(spoilt.ok());
 
-  const std::vector<const MixtureMap*> all = {&fit->map, &maps->layers.map, &*cold, &spoilt->layers.map};
-  std::vector<uint8_t> judged(static_cast<size_t>(fit->map.profiles()), 1);
-  for (size_t i = 0; i < judged.size(); ++i) {
-    for (const MixtureMap* map : all)
-      if (!map->Fitted(static_cast<int64_t>(i))) judged[i] = 0;
-    for (const SrdBatch& light : srds_.batches)
-      if (light.valid[i] == 0) judged[i] = 0;
-  }
+  const std::vector<const MixtureMap*> all = {&fit->map, &maps->layers.map, &spoilt->layers.map};
   const auto error = ErrorsOf(all, shape_, *truth_, plan_, srds_.pool);
-  std::vector<double> nats;
-  for (const MixtureMap* map : all) nats.push_back(NatsOf(srds_, *map, judged));
-  const char* names[] = {"fit of three", "maps, warm", "all four, cold", "maps, wrong side"};
-  for (size_t m = 0; m < all.size(); ++m)
-    std::printf("%-18s divergence %.3f nats a profile and light, error %.3f %%\n", names[m], nats[m], 100 * error[m]);
-  std::printf("sweeps %d, processor seconds: warm %.2f, cold %.2f\n", maps->figures.warm.sweeps, warm_seconds,
-              cold_seconds);
-  // (Divergences of the two last are those of different priors: the cold fit chooses its own.)
-  EXPECT_LT(nats[1], nats[0]);
-  EXPECT_LT(error[1], error[0]);
-  // Of what fitting all four anew gains, at least three quarters.
-  EXPECT_LT(error[1] - error[2], 0.25 * (error[0] - error[2]));
-  EXPECT_GT(error[3], error[1]);
-  EXPECT_GT(nats[3], nats[1]);
-  EXPECT_LT(warm_seconds, cold_seconds);
+  const char* names[] = {"fit of three", "maps, all four", "maps, wrong side"};
+  for (size_t m = 0; m < all.size(); ++m) std::printf("%-18s error %.3f %%\n", names[m], 100 * error[m]);
+  EXPECT_LT(error[1], 0.98 * error[0]);
+  EXPECT_GT(error[2], 1.05 * error[1]);
 }
 
 }  // namespace

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The maps stage on its own: SRDs of four lights and a fit of three in, files out; and which light enters what.
+// The maps stage on its own: SRDs of four lights in, files out; and which light enters what.
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
@@ -51,10 +51,10 @@ class MapsStage : public ::testing::Test {
     layers.signal_to_noise = SignalToNoise(layers.map, TrainingLightsOf(srds, kHeldOut)->batches);
     return layers;
   }
-  RefinedLayers MapsOf(const SrdSet& srds) {
-    auto refined = RefineLayers(srds, kHeldOut, FitOf(srds), Options(), logger_, "maps");
-    EXPECT_TRUE(refined.ok()) << refined.status().message();
-    return *std::move(refined);
+  AllLayers MapsOf(const SrdSet& srds) {
+    auto made = FitMaps(srds, kHeldOut, Options(), logger_, "maps");
+    EXPECT_TRUE(made.ok()) << made.status().message();
+    return *std::move(made);
   }
 
   const fs::path folder_ = fs::temp_directory_path() / ("stratalux_maps_stage_" + std::to_string(getpid()));
@@ -73,7 +73,7 @@ TEST_F(MapsStage, TheHeldOutLightEntersTheMapsOnly) {
                              &MixtureMap::divergence})
       EXPECT_EQ(fit.map.*field, same.map.*field);
     EXPECT_EQ(fit.map.scattering.tau, same.map.scattering.tau);
-    const RefinedLayers maps = MapsOf(srds), changed = MapsOf(other);
+    const AllLayers maps = MapsOf(srds), changed = MapsOf(other);
     int differing = 0;
     for (int64_t i = 0; i < maps.layers.map.profiles(); ++i)
       differing += maps.layers.map.weight[i * 20] != changed.layers.map.weight[i * 20] ? 1 : 0;
@@ -81,7 +81,7 @@ TEST_F(MapsStage, TheHeldOutLightEntersTheMapsOnly) {
   }
 }
 
-TEST_F(MapsStage, AreRefinedAboutTheNeighboursAndWhatHasNoneAboutTheSessionsMean) {
+TEST_F(MapsStage, AreFittedAboutTheNeighboursAndWhatHasNoneAboutTheSessionsMean) {
   constexpr int64_t kHair = 6, kNew = 20;
   SrdSet srds = Srds(400.0, 7);
   srds.spacing_mm = 1.0;
@@ -90,11 +90,9 @@ TEST_F(MapsStage, AreRefinedAboutTheNeighboursAndWhatHasNoneAboutTheSessionsMean
     light.apart[kHair] = 1;
   }
   for (int p = 0; p < 4; ++p) srds.batches[p].valid[kNew] = p == kHeldOut ? 1 : 0;
-  const FittedLayers fit = FitOf(srds);
-  const double near = fit.map.prior_photons;
+  const AllLayers maps = MapsOf(srds);
+  const double near = maps.layers.map.prior_photons;
   ASSERT_GT(near, 300.0);  // pixels of one skin
-  EXPECT_EQ(fit.map.session_photons, 300.0);
-  const RefinedLayers maps = MapsOf(srds);
   ASSERT_TRUE(SaveMaps(folder_, maps).ok());
   const auto layers = LoadMaps(folder_);
   ASSERT_TRUE(layers.ok()) << layers.status().message();
@@ -113,8 +111,9 @@ TEST_F(MapsStage, AreRefinedAboutTheNeighboursAndWhatHasNoneAboutTheSessionsMean
 TEST_F(MapsStage, WritesWhatTheFitWritesAndWhereItComesFrom) {
   SrdSet srds = Srds(1000.0, 2);
   srds.batches[kHeldOut].valid[5] = 0;
+  for (SrdBatch& light : srds.batches) light.valid[9] = 0;
   const FittedLayers fit = FitOf(srds);
-  const RefinedLayers maps = MapsOf(srds);
+  const AllLayers maps = MapsOf(srds);
   ASSERT_TRUE(SaveMaps(folder_, maps).ok());
   ASSERT_TRUE(SaveLayers(folder_, fit).ok());
   ASSERT_TRUE(WriteLayerMaps(folder_, SummariseLayers(fit.map)).ok());
@@ -128,35 +127,32 @@ TEST_F(MapsStage, WritesWhatTheFitWritesAndWhereItComesFrom) {
   EXPECT_EQ(layers->map.prior_photons, 300.0);
   for (int64_t i = 0; i < layers->map.profiles(); ++i) {
     const float before = fit.signal_to_noise.pixels()[i], now = layers->signal_to_noise.pixels()[i];
-    EXPECT_TRUE(i == 5 ? now == before : now > before) << i << ": more light";
+    EXPECT_TRUE(i == 5 || i == 9 ? now <= before : now > before) << i << ": more light";
   }
   const auto figures = LoadMapsFigures(folder_);
   ASSERT_TRUE(figures.ok()) << figures.status().message();
   EXPECT_EQ(figures->provenance, "from four projectors");
   EXPECT_THAT(figures->projectors, ElementsAre(0, 1, 2, 3));
   EXPECT_EQ(figures->heldout, kHeldOut);
-  EXPECT_EQ(figures->refined, 47);
-  EXPECT_EQ(figures->kept, 1);
-  EXPECT_EQ(figures->warm.Reached(), maps.figures.warm.Reached());
-  EXPECT_EQ(figures->warm.trials.size(), maps.figures.warm.trials.size());
-  const auto json = nlohmann::json::parse(ReadText(folder_ / kMapsFolder / "maps.json"));
-  EXPECT_EQ(json["warm_start"]["sweeps"], maps.figures.warm.sweeps);
-  EXPECT_EQ(json["warm_start"]["tolerance_nats"], kWarmToleranceNats);
-  for (int64_t i = 0; i < layers->map.profiles(); ++i)
-    EXPECT_EQ(layers->map.iterations[i], i == 5 ? fit.map.iterations[i] : maps.figures.warm.sweeps);
+  EXPECT_EQ(figures->fitted, 47);
+  EXPECT_EQ(figures->masked_by_reason, (std::map<std::string, int64_t>{{ToString(FitReason::kNoProjector), 1}}));
+  EXPECT_EQ(figures->divergence, maps.figures.divergence);
 }
 
 TEST_F(MapsStage, ALaterSchemaIsRefusedAndDamageNamed) {
   ASSERT_TRUE(SaveMaps(folder_, MapsOf(Srds(1000.0, 3))).ok());
   const fs::path file = folder_ / kMapsFolder / "maps.json";
   auto json = nlohmann::json::parse(ReadText(file));
-  json["schema"] = 2;
+  json["schema"] = 3;
   WriteText(file, json.dump());
   const auto newer = LoadMapsFigures(folder_);
   EXPECT_EQ(newer.status().code(), StatusCode::kNewerSchema);
   EXPECT_THAT(newer.status().message(), HasSubstr(file.string()));
   json["schema"] = 1;
-  json.erase("warm_start");
+  WriteText(file, json.dump());
+  EXPECT_THAT(LoadMapsFigures(folder_).status().message(), HasSubstr("older program"));
+  json["schema"] = 2;
+  json.erase("profiles");
   WriteText(file, json.dump());
   const auto damaged = LoadMapsFigures(folder_);
   EXPECT_EQ(damaged.status().code(), StatusCode::kIntegrity);
@@ -164,22 +160,19 @@ TEST_F(MapsStage, ALaterSchemaIsRefusedAndDamageNamed) {
 }
 
 TEST_F(MapsStage, CannotBeWrittenWhereAFileStands) {
-  const RefinedLayers maps = MapsOf(Srds(1000.0, 4));
+  const AllLayers maps = MapsOf(Srds(1000.0, 4));
   WriteText(folder_ / kMapsFolder, "");
   const Status failed = SaveMaps(folder_, maps);
   ASSERT_FALSE(failed.ok());
   EXPECT_THAT(failed.message(), HasSubstr((folder_ / kMapsFolder).string()));
 }
 
-// A session whose held-out projector lost its sweep: the maps are the fit's.
-TEST_F(MapsStage, WithoutTheHeldOutSweepTheMapsAreTheFits) {
+// A session whose held-out projector lost its sweep: the other three's.
+TEST_F(MapsStage, WithoutTheHeldOutSweepTheOthersMakeThem) {
   SrdSet srds = Srds(1000.0, 5);
   std::ranges::fill(srds.batches[kHeldOut].valid, uint8_t{0});
-  const FittedLayers fit = FitOf(srds);
-  const RefinedLayers maps = MapsOf(srds);
-  EXPECT_EQ(maps.layers.map.weight, fit.map.weight);
-  EXPECT_EQ(maps.figures.kept, 48);
-  EXPECT_EQ(maps.figures.warm.sweeps, 0);
+  const AllLayers maps = MapsOf(srds);
+  EXPECT_EQ(maps.figures.fitted, 48);
   ASSERT_TRUE(SaveMaps(folder_, maps).ok());
   EXPECT_TRUE(LoadMapsFigures(folder_).ok());
 }
