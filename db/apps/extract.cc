@@ -40,14 +40,15 @@ Status ExtractFrames(const SessionStore& store, const std::string& session_id, c
   if (error) return Status::Failed("cannot create " + folder.string() + ": " + error.message());
   std::vector<std::string> names;
   for (const FrameRow& frame : frames) names.push_back(ExtractedName(frame));
-  SLX_RETURN_IF_ERROR(BeginExport(store.folder(), "extract", session_id, folder, names));
-  Progress progress(logger, "extract", static_cast<int64_t>(frames.size()));
-  for (const FrameRow& frame : frames) {
-    SLX_ASSIGN_OR_RETURN(auto image, store.ReadFrame(session_id, frame));
-    SLX_RETURN_IF_ERROR(WriteFrame(folder / ExtractedName(frame), frame.record.format, std::move(image)));
-    progress.Advance();
-  }
-  return Status::Ok();
+  return WriteExport(store.folder(), "extract", session_id, folder, names, [&]() -> Status {
+    Progress progress(logger, "extract", static_cast<int64_t>(frames.size()));
+    for (const FrameRow& frame : frames) {
+      SLX_ASSIGN_OR_RETURN(auto image, store.ReadFrame(session_id, frame));
+      SLX_RETURN_IF_ERROR(WriteFrame(folder / ExtractedName(frame), frame.record.format, std::move(image)));
+      progress.Advance();
+    }
+    return Status::Ok();
+  });
 }
 
 }  // namespace stratalux::db

@@ -80,38 +80,41 @@ Result<ExportReport> ExportOne(const SessionStore& store, const SessionRow& sess
   for (const FrameRow& f : frames) names.push_back("frames/" + ExportedName(f, options.format));
   for (const fs::path& file : fit_files) names.push_back("fits/" + file.string());
   SLX_RETURN_IF_ERROR(PrepareExportFolder(options.out, id));
-  SLX_RETURN_IF_ERROR(BeginExport(store.folder(), "export", id, options.out, names));
   ExportReport report;
   report.sessions = 1;
-  Progress progress(logger, "export", static_cast<int64_t>(frames.size()));
-  for (const FrameRow& frame : frames) {
-    SLX_ASSIGN_OR_RETURN(auto image, store.ReadFrame(id, frame));
-    SLX_ASSIGN_OR_RETURN(const Written written,
-                         WriteFrameOnce(options.out / "frames" / ExportedName(frame, options.format), options.format,
-                                        frame.record.format, std::move(image)));
-    ++(written == Written::kNow ? report.written : report.kept);
-    progress.Advance();
-  }
-  std::map<std::string, std::vector<fs::path>> files_of;
-  for (const fs::path& file : fit_files) {
-    const fs::path fit = file.has_parent_path() ? *file.begin() : fs::path();
-    files_of[fit.string()].push_back(fit.empty() ? file : file.lexically_relative(fit));
-  }
-  for (const auto& [fit, files] : files_of)
-    SLX_RETURN_IF_ERROR(ExportFit(store, session, options.out / "fits", fit, files));
-  SLX_ASSIGN_OR_RETURN(const std::string manifest, ReadFile(store.SessionFolder(id) / "manifest.json"));
-  SLX_RETURN_IF_ERROR(WriteTextOnce(options.out / "session.json", manifest).status());
-  if (is_signed) {
-    SLX_ASSIGN_OR_RETURN(const std::string bytes, ReadFile(signature));
-    SLX_RETURN_IF_ERROR(WriteTextOnce(options.out / "signature.json", bytes).status());
-  }
-  SLX_RETURN_IF_ERROR(WriteTextOnce(options.out / "frames.json", FramesJson(frames, options.format)).status());
-  const std::string toml = ImportToml(session.info, frames, options.format);
-  if (toml.empty()) {
-    logger.Info("no import.toml: there are no frames, or of several depths or colours");
-    return report;
-  }
-  SLX_RETURN_IF_ERROR(WriteTextOnce(options.out / "import.toml", toml).status());
+  const auto write = [&]() -> Status {
+    Progress progress(logger, "export", static_cast<int64_t>(frames.size()));
+    for (const FrameRow& frame : frames) {
+      SLX_ASSIGN_OR_RETURN(auto image, store.ReadFrame(id, frame));
+      SLX_ASSIGN_OR_RETURN(const Written written,
+                           WriteFrameOnce(options.out / "frames" / ExportedName(frame, options.format), options.format,
+                                          frame.record.format, std::move(image)));
+      ++(written == Written::kNow ? report.written : report.kept);
+      progress.Advance();
+    }
+    std::map<std::string, std::vector<fs::path>> files_of;
+    for (const fs::path& file : fit_files) {
+      const fs::path fit = file.has_parent_path() ? *file.begin() : fs::path();
+      files_of[fit.string()].push_back(fit.empty() ? file : file.lexically_relative(fit));
+    }
+    for (const auto& [fit, files] : files_of)
+      SLX_RETURN_IF_ERROR(ExportFit(store, session, options.out / "fits", fit, files));
+    SLX_ASSIGN_OR_RETURN(const std::string manifest, ReadFile(store.SessionFolder(id) / "manifest.json"));
+    SLX_RETURN_IF_ERROR(WriteTextOnce(options.out / "session.json", manifest).status());
+    if (is_signed) {
+      SLX_ASSIGN_OR_RETURN(const std::string bytes, ReadFile(signature));
+      SLX_RETURN_IF_ERROR(WriteTextOnce(options.out / "signature.json", bytes).status());
+    }
+    SLX_RETURN_IF_ERROR(WriteTextOnce(options.out / "frames.json", FramesJson(frames, options.format)).status());
+    const std::string toml = ImportToml(session.info, frames, options.format);
+    if (toml.empty()) {
+      logger.Info("no import.toml: there are no frames, or of several depths or colours");
+    } else {
+      SLX_RETURN_IF_ERROR(WriteTextOnce(options.out / "import.toml", toml).status());
+    }
+    return Status::Ok();
+  };
+  SLX_RETURN_IF_ERROR(WriteExport(store.folder(), "export", id, options.out, names, write));
   return report;
 }
 
@@ -204,6 +207,9 @@ Result<ExportReport> ExportVisitor(const SessionStore& store, const std::string&
     total.written += report.written;
     total.kept += report.kept;
   }
+  for (const SessionSummary& session : sessions)
+    SLX_RETURN_IF_ERROR(EndExport(store.folder(), session.info.id, options.out,
+                                  {known.filename().string(), readme.filename().string()}));
   return total;
 }
 

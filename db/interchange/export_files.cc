@@ -52,10 +52,14 @@ Result<Written> WriteFrameOnce(const fs::path& file, ExportFormat format, PixelF
     return Status::Integrity(file.string() + " is there and holds other pixels; choose another folder");
   }
   const fs::path part = file.string() + ".part";
-  SLX_RETURN_IF_ERROR(WriteImage(part, format, pixels, image));
-  fs::rename(part, file, error);
-  if (error) return Status::Failed("cannot move " + part.string() + ": " + error.message());
-  return Written::kNow;
+  Status written = WriteImage(part, format, pixels, image);
+  if (written.ok()) {
+    fs::rename(part, file, error);
+    if (!error) return Written::kNow;
+    written = Status::Failed("cannot move " + part.string() + ": " + error.message());
+  }
+  fs::remove(part, error);
+  return written;
 }
 
 Result<Written> WriteTextOnce(const fs::path& file, const std::string& text) {

@@ -4,12 +4,14 @@
 #include <algorithm>
 #include <array>
 #include <set>
+#include <sstream>
 
 #include <nlohmann/json.hpp>
 #include <unistd.h>
 
 #include "db/base/durable_file.h"
 #include "db/base/paths.h"
+#include "db/catalogue/deletions.h"
 #include "db/privacy/access_log.h"
 #include "shared/base/read_file.h"
 
@@ -64,7 +66,28 @@ Status WriteExportMarker(const fs::path& folder, const std::string& session_id, 
 Status BeginExport(const fs::path& store, const std::string& action, const std::string& session_id,
                    const fs::path& folder, const std::vector<std::string>& files) {
   SLX_RETURN_IF_ERROR(LogAccess(store, action, session_id, ExportPlace(folder)));
+  // Behind the row: a forgetting that is entered later finds it, one that was entered before is seen here.
+  SLX_RETURN_IF_ERROR(RefuseForgotten(store, session_id));
   return WriteExportMarker(folder, session_id, files);
+}
+
+Status EndExport(const fs::path& store, const std::string& session_id, const fs::path& folder,
+                 const std::vector<std::string>& files) {
+  const Status stays = RefuseForgotten(store, session_id);
+  if (stays.code() != StatusCode::kUsage) return stays;
+  // The forgetting may have taken the marker before the last files came.
+  SLX_RETURN_IF_ERROR(WriteExportMarker(folder, session_id, files));
+  SLX_RETURN_IF_ERROR(RemoveExport(ExportPlace(folder), session_id).status());
+  return stays.WithContext("what was exported meanwhile is deleted again");
+}
+
+Status WriteExport(const fs::path& store, const std::string& action, const std::string& session_id,
+                   const fs::path& folder, const std::vector<std::string>& files,
+                   const std::function<Status()>& write) {
+  SLX_RETURN_IF_ERROR(BeginExport(store, action, session_id, folder, files));
+  const Status written = write();
+  const Status stays = EndExport(store, session_id, folder, files);
+  return stays.ok() ? written : stays;
 }
 
 std::vector<std::string> ExportsIn(const fs::path& folder) {
@@ -106,21 +129,53 @@ const char* ToString(ExportState state) {
   return "could not be deleted";
 }
 
+std::string HiddenBy(const std::string& mountinfo, const fs::path& folder) {
+  std::istringstream lines(mountinfo);
+  std::string hidden_by;
+  for (std::string line; std::getline(lines, line);) {
+    std::istringstream words(line);
+    std::string id, parent, device, root, point;
+    words >> id >> parent >> device >> root >> point;
+    const bool made_so =
+        root.find("/systemd-private-") != std::string::npos || root.find("/inaccessible/") != std::string::npos;
+    if (made_so && !point.empty() && LiesIn(folder, point)) hidden_by = point;
+  }
+  return hidden_by;
+}
+
+Result<bool> IsExportThere(const fs::path& folder, const std::string& session_id) {
+  std::error_code error;
+  const fs::path marker = ExportMarker(folder, session_id);
+  const fs::file_status found = fs::symlink_status(marker, error);
+  if (fs::exists(found)) return true;
+  if (found.type() != fs::file_type::not_found)
+    return Status::Failed("cannot look at " + marker.string() + ": " + error.message());
+  const auto mounts = ReadFile("/proc/self/mountinfo", kAnyFileSize);
+  if (const std::string point = mounts.ok() ? HiddenBy(*mounts, folder) : ""; !point.empty())
+    return Status::Failed("cannot look at " + marker.string() + ": " + point +
+                          " is hidden from this unit (PrivateTmp, ProtectHome); forget with --resume from a shell");
+  return false;
+}
+
 Result<ExportState> RemoveExport(const std::string& place, const std::string& session_id) {
   const auto folder = LocalFolder(place);
   if (!folder) return ExportState::kElsewhere;
   const fs::path marker = ExportMarker(*folder, session_id);
-  if (std::error_code error; !fs::exists(marker, error)) return ExportState::kNotThere;
+  SLX_ASSIGN_OR_RETURN(const bool there, IsExportThere(*folder, session_id));
+  if (!there) return ExportState::kNotThere;
   SLX_ASSIGN_OR_RETURN(const auto files, ReadMarker(marker, session_id));
   std::error_code error;
   std::set<fs::path> folders;
   for (const std::string& name : files) {
     if (!StaysInside(name)) continue;  // not ours: no marker of ours names such a file
-    const fs::path file = *folder / name;
-    // Small files may be keys.
-    if (fs::file_size(file, error) <= kOverwritten && !error) SLX_RETURN_IF_ERROR(WipeFile(file));
-    fs::remove(file, error);
-    if (error) return Status::Failed("cannot delete " + file.string() + ": " + error.message());
+    // And by the names that it has while it is written: an export that was killed leaves one.
+    for (const char* unfinished : {"", ".new", ".part", ".part.new"}) {
+      const fs::path file = (*folder / name).string() + unfinished;
+      // Small files may be keys.
+      if (fs::file_size(file, error) <= kOverwritten && !error) SLX_RETURN_IF_ERROR(WipeFile(file));
+      fs::remove(file, error);
+      if (error) return Status::Failed("cannot delete " + file.string() + ": " + error.message());
+    }
     for (fs::path up = fs::path(name).parent_path(); !up.empty(); up = up.parent_path()) folders.insert(up);
   }
   for (auto sub = folders.rbegin(); sub != folders.rend(); ++sub) fs::remove(*folder / *sub, error);  // if empty

@@ -4,6 +4,7 @@
 #pragma once
 
 #include <filesystem>
+#include <functional>
 #include <optional>
 #include <string>
 #include <vector>
@@ -19,9 +20,17 @@ namespace stratalux::db {
 Status WriteExportMarker(const std::filesystem::path& folder, const std::string& session_id,
                          const std::vector<std::string>& files);
 
-// What every export calls before its first file: the row of the access log (access_log.h), then the marker.
+// What every export calls before its first file: the row of the access log (access_log.h), then the marker. kUsage for
+// a session that was forgotten.
 Status BeginExport(const std::filesystem::path& store, const std::string& action, const std::string& session_id,
                    const std::filesystem::path& folder, const std::vector<std::string>& files);
+// And behind its last: of a session that was forgotten meanwhile `files` are deleted, and that is kUsage.
+Status EndExport(const std::filesystem::path& store, const std::string& session_id, const std::filesystem::path& folder,
+                 const std::vector<std::string>& files);
+// The one, `write`, and the other: also behind a failure, for that may be the forgetting's.
+Status WriteExport(const std::filesystem::path& store, const std::string& action, const std::string& session_id,
+                   const std::filesystem::path& folder, const std::vector<std::string>& files,
+                   const std::function<Status()>& write);
 
 // The sessions that have a marker in this folder.
 [[nodiscard]] std::vector<std::string> ExportsIn(const std::filesystem::path& folder);
@@ -34,8 +43,15 @@ enum class ExportState { kDeleted, kElsewhere, kNotThere, kKept };
 // "deleted", "on another machine", "no export there any more", "could not be deleted".
 [[nodiscard]] const char* ToString(ExportState state);
 
-// Deletes the files the marker names, then the marker, then the folder if nothing else is in it. Never
-// kKept: what could not be deleted is an error that says why.
+// Whether the folder has the session's marker. kFailed where that cannot be seen: no permission, or a unit of systemd
+// has another /tmp or no /home.
+[[nodiscard]] Result<bool> IsExportThere(const std::filesystem::path& folder, const std::string& session_id);
+// The mount point that hides the folder from this process, as systemd makes it so: by the text of
+// /proc/self/mountinfo. Empty: none does.
+[[nodiscard]] std::string HiddenBy(const std::string& mountinfo, const std::filesystem::path& folder);
+
+// Deletes the files the marker names, whole and half written, then the marker, then the folder if nothing else is in
+// it. Never kKept: what could not be deleted, or looked for, is an error that says why.
 [[nodiscard]] Result<ExportState> RemoveExport(const std::string& place, const std::string& session_id);
 
 }  // namespace stratalux::db

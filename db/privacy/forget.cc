@@ -42,6 +42,7 @@ class Forgetting {
   Status Remove();
   Status RemoveIncoming();
   Status DestroyKeys();
+  Status FindLateExports();
   void RemoveExports();
   Status SetFoldersAside();
   Status RemoveFolder(const fs::path& folder) const;
@@ -140,6 +141,23 @@ Status Forgetting::DestroyKeys() {
     SLX_RETURN_IF_ERROR(DestroyKey(store_, id));
     Done(ForgetStep::kKey);
   }
+  return Status::Ok();
+}
+
+// Whoever begins an export from now on sees the ledger's entry, and who began before has a row.
+Status Forgetting::FindLateExports() {
+  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store_, AccessMode::kReadOnly));
+  std::set<std::string> changed;
+  SLX_RETURN_IF_ERROR(VisitExports(index.connection(), [&](const std::string& session, const std::string& place) {
+    for (ForgetIntent& intent : intents_)
+      if (intent.session == session &&
+          std::find(intent.exports.begin(), intent.exports.end(), place) == intent.exports.end()) {
+        intent.exports.push_back(place);
+        changed.insert(session);
+      }
+  }));
+  for (const ForgetIntent& intent : intents_)
+    if (changed.contains(intent.session)) SLX_RETURN_IF_ERROR(WriteIntent(store_, intent));
   return Status::Ok();
 }
 
@@ -281,6 +299,7 @@ Status Forgetting::Remove() {
   }
   SLX_RETURN_IF_ERROR(WriteIntents());
   SLX_RETURN_IF_ERROR(EnterForgettings());
+  SLX_RETURN_IF_ERROR(FindLateExports());
   SLX_RETURN_IF_ERROR(DestroyKeys());
   RemoveExports();
   SLX_RETURN_IF_ERROR(SetFoldersAside());

@@ -10,10 +10,10 @@ namespace fs = std::filesystem;
 
 ForgottenExport PlanExport(const std::string& place, const std::string& session_id) {
   const auto folder = LocalFolder(place);
-  std::error_code error;
   if (!folder) return {place, ExportState::kElsewhere};
-  const bool there = fs::exists(ExportMarker(*folder, session_id), error);
-  return {place, there ? ExportState::kDeleted : ExportState::kNotThere};
+  const auto there = IsExportThere(*folder, session_id);
+  if (!there.ok()) return {place, ExportState::kKept};
+  return {place, *there ? ExportState::kDeleted : ExportState::kNotThere};
 }
 
 Result<ForgetReport> PlanForget(const fs::path& store, const ForgetRequest& request) {

@@ -76,9 +76,9 @@ Status ExportKeyFile(const std::filesystem::path& store, const SessionRow& sessi
   if (std::filesystem::exists(std::filesystem::symlink_status(file, error)))
     return Status::Usage(file.string() + " is there already; choose another name, or move it away");
   const auto folder = std::filesystem::absolute(file).parent_path();
-  SLX_RETURN_IF_ERROR(BeginExport(store, "key export", session.info.id, folder,
-                                  {file.filename().string(), Beside(file).filename().string()}));
-  return WritePrivately(std::filesystem::absolute(file), json.dump(1) + "\n");
+  return WriteExport(store, "key export", session.info.id, folder,
+                     {file.filename().string(), Beside(file).filename().string()},
+                     [&] { return WritePrivately(std::filesystem::absolute(file), json.dump(1) + "\n"); });
 }
 
 Result<std::string> ImportKeyFile(const std::filesystem::path& store, const std::filesystem::path& file) {

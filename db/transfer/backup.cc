@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/transfer/backup.h"
 
+#include <cerrno>
+#include <cstring>
 #include <set>
 
-#include <sys/stat.h>
+#include <fcntl.h>
 
 #include "db/base/durable_file.h"
 #include "db/base/file_lock.h"
@@ -12,6 +14,7 @@
 #include "db/ledger/ledger.h"
 #include "db/ledger/old_tombstones.h"
 #include "db/transfer/backup_folder.h"
+#include "shared/base/unique_fd.h"
 
 namespace stratalux::db {
 namespace {
@@ -24,9 +27,11 @@ Status Snapshot(const fs::path& database, const fs::path& to) {
   std::error_code error;
   const fs::path part = to.string() + ".part";
   fs::remove(part, error);
+  // Made by us and not by SQLite, so that a copy of all keys never has any other mode.
+  const UniqueFd made(open(part.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, 0600));
+  if (made.get() < 0) return Status::Failed("cannot create " + part.string() + ": " + std::strerror(errno));
   SLX_ASSIGN_OR_RETURN(auto connection, Connection::Open(database, Connection::Mode::kReadOnly));
   SLX_RETURN_IF_ERROR(connection.CopyInto(part));
-  if (chmod(part.c_str(), 0600) != 0) return Status::Failed("cannot protect " + part.string());
   return KeepFile(part, to);
 }
 

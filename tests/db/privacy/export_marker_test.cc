@@ -83,5 +83,34 @@ TEST_F(ExportMarkerTest, ADamagedMarkerIsAnErrorAndDeletesNothing) {
   EXPECT_TRUE(fs::exists(out_ / "a.png"));
 }
 
+// Killed while a file was written: it has no name of the marker's yet.
+TEST_F(ExportMarkerTest, DeletesWhatAKilledExportHasHalfWritten) {
+  fs::remove(out_ / "a.png");
+  for (const char* name : {"a.png.part", "a.png.new", "deep/er/b.png.part.new"}) WriteText(out_ / name, "half a face");
+  EXPECT_EQ(*RemoveExport(ExportPlace(out_), "s000001-0badcafe"), ExportState::kDeleted);
+  EXPECT_FALSE(fs::exists(out_));
+}
+
+TEST_F(ExportMarkerTest, AFolderThatCannotBeLookedIntoIsNotTakenForGone) {
+  const fs::path endless = folder_ / std::string(300, 'x');  // no file system takes such a name
+  EXPECT_EQ(RemoveExport(ExportPlace(endless), "s000001-0badcafe").status().code(), StatusCode::kFailed);
+}
+
+// As systemd shows a unit its mounts.
+TEST_F(ExportMarkerTest, SaysWhichPlacesAUnitOfSystemdDoesNotSee) {
+  const std::string
+      unit =
+          "22 1 8:1 / / ro,relatime shared:1 - ext4 /dev/sda1 ro\n"
+          "51 22 8:1 /tmp/systemd-private-0badcafe-stratalux-purge.service-x/tmp /tmp rw - ext4 /dev/sda1 rw\n"
+          "52 22 0:24 /systemd/inaccessible/dir /home ro - tmpfs tmpfs rw\n",
+      shell = "22 1 8:1 / / rw,relatime shared:1 - ext4 /dev/sda1 rw\n23 22 0:30 / /tmp rw - tmpfs tmpfs rw\n";
+  EXPECT_EQ(HiddenBy(unit, "/tmp/pictures"), "/tmp");
+  EXPECT_EQ(HiddenBy(unit, "/tmp"), "/tmp");
+  EXPECT_EQ(HiddenBy(unit, "/home/alice/x"), "/home");
+  EXPECT_EQ(HiddenBy(unit, "/srv/exports"), "");
+  EXPECT_EQ(HiddenBy(unit, "/tmpfiles"), "");
+  EXPECT_EQ(HiddenBy(shell, "/tmp/pictures"), "");
+}
+
 }  // namespace
 }  // namespace stratalux::db

@@ -234,6 +234,44 @@ TEST_F(ForgetTest, AnExportThatCannotBeDeletedKeepsNoFrameAlive) {
   ExpectGone(traces, kVisitor);
 }
 
+// Whoever exports while a forgetting goes on: what began before it is entered is found, what begins later is refused,
+// and what it overtakes is deleted by the export itself.
+TEST_F(ForgetTest, AnExportBesideAForgettingLeavesNothing) {
+  const std::string id = Visit(kVisitor, 1, Encryption::kNone), other = Visit(kOther, 2, Encryption::kNone);
+  Logger quiet(LogLevel::kError);
+  Status early, late, overtaken;
+  const auto extract = [&](const char* name) {
+    const SessionStore store = OpenStore(AccessMode::kReadOnly);
+    return ExtractFrames(store, id, *store.ListFrames(id), exports_ / name, quiet);
+  };
+  ForgetRequest request;
+  request.sessions = {id};
+  request.after_step = [&](ForgetStep step) {
+    if (step == ForgetStep::kIntent) {
+      early = extract("early");
+      overtaken = WriteExport(folder_, "extract", id, exports_ / "overtaken", {"a.png"}, [&] {
+        WriteText(exports_ / "overtaken" / "a.png", "a face");
+        // As if the forgetting had come by here.
+        EXPECT_TRUE(
+            AppendToLedger(folder_, {LedgerKind::kForgetting, WallNow(), {id}, "", R"({"reason":"forget"})"}).ok());
+        EXPECT_TRUE(RemoveExport(ExportPlace(exports_ / "overtaken"), id).ok());
+        fs::create_directories(exports_ / "overtaken");
+        WriteText(exports_ / "overtaken" / "a.png", "a face");
+        return Status::Ok();
+      });
+    }
+    if (step == ForgetStep::kExport) late = extract("late");
+  };
+  const auto report = Forget(folder_, request, quiet);
+  ASSERT_TRUE(report.ok()) << report.status().message();
+  EXPECT_TRUE(early.ok()) << early.message();
+  EXPECT_EQ(late.code(), StatusCode::kUsage) << late.message();
+  EXPECT_EQ(overtaken.code(), StatusCode::kUsage) << overtaken.message();
+  for (const char* name : {"early", "late", "overtaken"}) EXPECT_FALSE(fs::exists(exports_ / name / "a.png")) << name;
+  EXPECT_FALSE(fs::exists(exports_ / "early"));
+  EXPECT_TRUE(fs::exists(exports_ / other));
+}
+
 TEST_F(ForgetTest, TakesTheCopyFromBeforeAMigrationWithIt) {
   const std::string id = Visit(kVisitor, 1, Encryption::kNone);
   const Traces traces = TracesOf(id);
@@ -279,6 +317,19 @@ pattern = "white"
   EXPECT_THAT(imported.status().message(), HasSubstr("`stratalux-db deletions`"));
   fs::remove(ExportMarker(copy, id));
   EXPECT_TRUE(ImportSession(store, {copy / "m.toml", "", {}}, quiet).ok()) << "the marker alone was in its way";
+
+  // Of an export the marker lies above the frames.
+  const fs::path whole = exports_ / "whole";
+  fs::create_directories(whole / "frames");
+  fs::copy(copy / "000000-gray-rows-bit-3-10-inverse.png", whole / "frames" / "f.png");
+  std::string toml = *ReadFile(copy / "m.toml");
+  toml.replace(toml.find("000000-gray"), std::string("000000-gray-rows-bit-3-10-inverse.png").size(), "frames/f.png");
+  WriteText(whole / "import.toml", toml);
+  ASSERT_TRUE(WriteExportMarker(whole, id, {"frames/f.png"}).ok());
+  EXPECT_EQ(ImportSession(store, {whole / "import.toml", "", {}}, quiet).status().code(), StatusCode::kUsage);
+  WriteText(whole / "elsewhere.toml", toml);
+  fs::rename(whole / "elsewhere.toml", exports_ / "elsewhere.toml");
+  EXPECT_EQ(ImportSession(store, {exports_ / "elsewhere.toml", whole, {}}, quiet).status().code(), StatusCode::kUsage);
 
   // Its folder put back by hand is no session, and without the key no picture.
   fs::copy(exports_ / "session", folder_ / "sessions" / id, fs::copy_options::recursive);
