@@ -88,18 +88,21 @@ Status Cloud(const CloudFlags& f, Logger& logger) {
     SLX_ASSIGN_OR_RETURN(auto made, CloudFromCodes(frames, pose, record));
     clouds.push_back(std::move(made));
   }
-  SLX_RETURN_IF_ERROR(db::BeginExport(f.store, "cloud", session, f.out, files));
   auto results = nlohmann::ordered_json::array();
   std::string text;
-  for (size_t k = 0; k < poses.size(); ++k) {
-    const int pose = poses[k];
-    const CodedCloud& made = clouds[k];
-    const std::filesystem::path file = std::filesystem::path(f.out) / FileOf(pose);
-    SLX_RETURN_IF_ERROR(WritePly(file, made.cloud, {.session = session}));
-    logger.Info(FileOf(pose) + ": " + TextOf(made));
-    results.push_back(JsonOf(pose, made));
-    text += file.string() + "\n";
-  }
+  const auto write = [&]() -> Status {
+    for (size_t k = 0; k < poses.size(); ++k) {
+      const int pose = poses[k];
+      const CodedCloud& made = clouds[k];
+      const std::filesystem::path file = std::filesystem::path(f.out) / FileOf(pose);
+      SLX_RETURN_IF_ERROR(WritePly(file, made.cloud, {.session = session}));
+      logger.Info(FileOf(pose) + ": " + TextOf(made));
+      results.push_back(JsonOf(pose, made));
+      text += file.string() + "\n";
+    }
+    return Status::Ok();
+  };
+  SLX_RETURN_IF_ERROR(db::WriteExport(f.store, "cloud", session, f.out, files, write));
   if (seal.active()) logger.Info(PlainCopyNote(session, f.out));
   if (!f.json) return WriteStdout(text);
   const nlohmann::ordered_json all = {{"session", session}, {"folder", f.out}, {"clouds", results}};

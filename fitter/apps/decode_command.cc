@@ -69,14 +69,15 @@ Status WriteMaps(const DecodeFlags& f, const std::string& session, const std::st
     files.push_back(name + axis + ".exr");
     files.push_back(name + axis + ".png");
   }
-  SLX_RETURN_IF_ERROR(db::BeginExport(f.store, "decode", session, f.out, files));
-  for (const auto& [file, values] : axes) {
-    const std::string base = (std::filesystem::path(f.out) / file).string();
-    SLX_RETURN_IF_ERROR(WriteExr(base + ".exr", *values, {"Y"}));
-    SLX_RETURN_IF_ERROR(
-        WritePng8(base + ".png", ToColourScale(*values, Percentile(*values, 0.01), Percentile(*values, 0.99))));
-  }
-  return Status::Ok();
+  return db::WriteExport(f.store, "decode", session, f.out, files, [&]() -> Status {
+    for (const auto& [file, values] : axes) {
+      const std::string base = (std::filesystem::path(f.out) / file).string();
+      SLX_RETURN_IF_ERROR(WriteExr(base + ".exr", *values, {"Y"}));
+      SLX_RETURN_IF_ERROR(
+          WritePng8(base + ".png", ToColourScale(*values, Percentile(*values, 0.01), Percentile(*values, 0.99))));
+    }
+    return Status::Ok();
+  });
 }
 
 Status DecodePose(const SessionFrames& frames, const DecodeFlags& f, int pose, nlohmann::ordered_json& results) {

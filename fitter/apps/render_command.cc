@@ -20,7 +20,7 @@ namespace stratalux::fit {
 namespace {
 
 struct RenderFlags {
-  std::string store, session = "latest", fit, out, pattern = "white", maps = "auto";
+  std::string store, session = "latest", fit, out, pattern, maps = "auto";
   std::vector<double> point, direction, colour;
   int projector = -1;
   double white = 0.0;
@@ -35,9 +35,11 @@ Result<VirtualLight> LightOf(const RenderFlags& f) {
   if (f.projector >= 0) {
     light.kind = VirtualLight::Kind::kProjector;
     light.projector = f.projector;
-    SLX_ASSIGN_OR_RETURN(light.pattern, Pattern::Parse(f.pattern));
+    SLX_ASSIGN_OR_RETURN(light.pattern, Pattern::Parse(f.pattern.empty() ? "white" : f.pattern));
     return light;
   }
+  if (!f.pattern.empty())
+    return Status::Usage("--pattern '" + f.pattern + "' is what a projector shows: give it with --projector N");
   const auto& v = f.point.empty() ? f.direction : f.point;
   light.kind = f.point.empty() ? VirtualLight::Kind::kDirectional : VirtualLight::Kind::kPoint;
   light.vector = {v[0], v[1], v[2]};
@@ -75,8 +77,8 @@ Status Render(const RenderFlags& f, Logger& logger) {
     logger.Info("fit " + stored.id +
                 " does not say how far predictions may be off: no interval.exr (run the session's fit anew)");
   for (const std::string& note : relit.Notes()) logger.Warning(note);
-  SLX_RETURN_IF_ERROR(db::BeginExport(f.store, "render", session, f.out, RelitFiles()));
-  SLX_RETURN_IF_ERROR(WriteRelit(f.out, relit, f.white, session, stored.id));
+  SLX_RETURN_IF_ERROR(db::WriteExport(f.store, "render", session, f.out, RelitFiles(),
+                                      [&] { return WriteRelit(f.out, relit, f.white, session, stored.id); }));
   if (stored.seal.active()) logger.Info(PlainCopyNote(session, f.out));
   if (f.json) {
     const nlohmann::ordered_json json = {
@@ -110,7 +112,7 @@ void AddRenderCommand(CLI::App& app, int& exit_code) {
       ->delimiter(',')
       ->expected(3);
   verb->add_option("--projector", flags->projector, "A projector of the rig")->check(CLI::Range(0, 15));
-  verb->add_option("--pattern", flags->pattern, "What that projector shows")->capture_default_str();
+  verb->add_option("--pattern", flags->pattern, "What that projector shows; default: white");
   verb->add_option("--colour", flags->colour, "R,G,B of the light")->delimiter(',')->expected(3);
   verb->add_option("--maps", flags->maps,
                    "on: the layers from all projectors; off: those of the fit, which leave one out; auto: from all "

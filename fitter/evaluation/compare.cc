@@ -93,7 +93,7 @@ Masks MakeMasks(const CompareInput& in, const Image<uint8_t>& fitted, const Judg
   return masks;
 }
 
-// The light as it was captured: the mean of its takes, half their difference, the camera's own noise of that mean.
+// The light as it was captured, as if at the nominal exposure: the mean of its takes, half their difference, the camera's own noise of that mean.
 struct Target {
   Image<float> light, noise, variance;
   int takes = 1;
@@ -105,6 +105,8 @@ Result<Target> ReadTarget(const CompareInput& in, const std::string& light) {
       const auto raw, in.frames.Read(in.view.projector, HeldOutPhase(light), HeldOutPattern(light, *in.frames.plan())));
   Target target;
   target.variance = QuadVariance(raw, camera);
+  const auto factor = static_cast<float>(HeldOutFactor(light, *in.frames.plan()));
+  for (float& v : target.variance.pixels()) v /= factor * factor;
   auto taken = ReadHeldOutTarget(in.frames, in.view.projector, light);
   if (taken.ok()) {
     target.light = std::move(taken->target);
@@ -114,8 +116,9 @@ Result<Target> ReadTarget(const CompareInput& in, const std::string& light) {
     return target;
   }
   if (taken.status().code() != StatusCode::kNotFound) return taken.status();
-  SLX_ASSIGN_OR_RETURN(const auto dark, in.frames.MeanBlack(in.view.projector));
+  SLX_ASSIGN_OR_RETURN(const auto dark, HeldOutBlack(in.frames, in.view.projector, light));
   target.light = QuadSignal(raw, dark, camera);
+  for (float& y : target.light.pixels()) y /= factor;
   return target;
 }
 

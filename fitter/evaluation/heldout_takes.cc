@@ -28,12 +28,6 @@ std::vector<const db::FrameRow*> TakesOf(const SessionFrames& frames, int projec
   return takes;
 }
 
-// Of the exposure that the light's phase begins with.
-Result<Image<float>> BlackOf(const SessionFrames& frames, int projector, const std::string& light) {
-  const double factor = light == "white" ? 1.0 : frames.plan()->BracketsOf(HeldOutPhase(light))[0];
-  return factor == 1.0 ? frames.MeanBlack(projector) : frames.MeanBlack(projector, factor);
-}
-
 }  // namespace
 
 Pattern HeldOutPattern(const std::string& light, const PlanOptions& plan) {
@@ -47,6 +41,15 @@ CapturePhase HeldOutPhase(const std::string& light) {
   return light == "stripe" ? CapturePhase::kSweep : light == "spot" ? CapturePhase::kSpot : CapturePhase::kReference;
 }
 
+double HeldOutFactor(const std::string& light, const PlanOptions& plan) {
+  return light == "white" ? 1.0 : plan.BracketsOf(HeldOutPhase(light))[0];
+}
+
+Result<Image<float>> HeldOutBlack(const SessionFrames& frames, int projector, const std::string& light) {
+  const double factor = HeldOutFactor(light, *frames.plan());
+  return factor == 1.0 ? frames.MeanBlack(projector) : frames.MeanBlack(projector, factor);
+}
+
 Result<HeldOutTarget> ReadHeldOutTarget(const SessionFrames& frames, int projector, const std::string& light) {
   if (!frames.plan() || !frames.calibration())
     return Status::NotFound("session " + frames.info().id +
@@ -57,7 +60,8 @@ Result<HeldOutTarget> ReadHeldOutTarget(const SessionFrames& frames, int project
                             " light of projector " + std::to_string(projector) +
                             "; capture it with `second_takes` and `motion_whites` in [plan]");
   const CameraCalibration& camera = frames.calibration()->camera;
-  SLX_ASSIGN_OR_RETURN(const auto black, BlackOf(frames, projector, light));
+  SLX_ASSIGN_OR_RETURN(const auto black, HeldOutBlack(frames, projector, light));
+  const double factor = HeldOutFactor(light, *frames.plan());
   HeldOutTarget result;
   result.takes = static_cast<int>(takes.size());
   for (size_t k = 0; k < takes.size(); ++k) {
@@ -67,7 +71,7 @@ Result<HeldOutTarget> ReadHeldOutTarget(const SessionFrames& frames, int project
     if (y.size() != result.target.size())
       return Status::Integrity("session " + frames.info().id + ": takes of the " + light + " light of projector " +
                                std::to_string(projector) + " differ in size");
-    const float share = 1.0F / static_cast<float>(takes.size()), sign = 2 * k < takes.size() ? share : -share;
+    const float share = 1.0F / static_cast<float>(static_cast<double>(takes.size()) * factor), sign = 2 * k < takes.size() ? share : -share;
     for (size_t i = 0; i < y.size(); ++i) {
       result.target.pixels()[i] += share * y.pixels()[i];
       result.noise.pixels()[i] += sign * y.pixels()[i];

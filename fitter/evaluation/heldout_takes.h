@@ -18,8 +18,14 @@ namespace stratalux::fit {
 // In which it was taken first.
 [[nodiscard]] CapturePhase HeldOutPhase(const std::string& light);
 
+// Its exposure over the nominal one: phases of several exposures begin with their first, a sweep's need not be 1.
+[[nodiscard]] double HeldOutFactor(const std::string& light, const PlanOptions& plan);
+// The mean black frame of that exposure.
+[[nodiscard]] Result<Image<float>> HeldOutBlack(const SessionFrames& frames, int projector, const std::string& light);
+
 struct HeldOutTarget {
-  Image<float> target;  // quads, digital numbers above the mean black frame; NaN where a take is saturated
+  // Quads, digital numbers above the mean black frame, as if at the nominal exposure; NaN where a take is saturated.
+  Image<float> target;
   Image<float> noise;   // of `target`, same shape; without that of the black frame, which all takes share
   int takes = 0;
 };

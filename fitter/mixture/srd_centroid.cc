@@ -30,13 +30,10 @@ double Centroid(const std::vector<double>& y, const SrdBatch& batch, int64_t pro
 Sums OfProfile(const MixtureMap& map, const SrdBatch& heldout, int64_t profile, double reach_mm) {
   const ScatteringModel& model = map.scattering;
   const double s = ShiftCoefficient(model, heldout, profile);
-  const size_t lights = map.training_projectors.size();
   LayerSet layers = LayersOf(map, profile);
-  double floor = 0.0, surface = 0.0;
-  for (size_t p = 0; p < lights; ++p) {
-    floor += map.background[profile * lights + p] / static_cast<double>(lights);
-    surface += map.surface[profile * lights + p] / static_cast<double>(lights);
-  }
+  const UnlayeredLight mean = MeanOfLights(map, profile);
+  const double floor = mean.background;
+  double surface = mean.surface;
   if (model.reflection.Known()) surface = ReflectedBy(model.reflection, heldout, profile, model.eta);
   layers.weight.push_back(surface);  // light of the very surface: a line without width or shift
   layers.depth_mm.push_back(0.0);

@@ -159,8 +159,6 @@ std::vector<std::string> MarkedNames(const std::vector<std::string>& names) {
 
 Result<std::string> WriteInto(const SessionExportOptions& options, const ExportedSurface& exported, Logger& logger) {
   const std::vector<std::string> names = NamesOf(options.formats);
-  SLX_RETURN_IF_ERROR(
-      db::BeginExport(options.store, "export", exported.origin.session, options.out, MarkedNames(names)));
   std::optional<RemovedOnSignal> lock_guard;  // of our own lock, never of another's
   const Result<KeyLock> lock = [&] {
     const NotInterrupted whole;
@@ -192,7 +190,12 @@ Result<std::string> WriteInto(const SessionExportOptions& options, const Exporte
 Result<SessionExportOutcome> ExportSession(const SessionExportOptions& options, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const Loaded loaded, Load(options, logger));
   SessionExportOutcome outcome{loaded.surface.origin.session, loaded.surface.origin.fit, loaded.sealed, {}, {}};
-  SLX_ASSIGN_OR_RETURN(outcome.record, WriteInto(options, loaded.surface, logger));
+  const auto write = [&]() -> Status {
+    SLX_ASSIGN_OR_RETURN(outcome.record, WriteInto(options, loaded.surface, logger));
+    return Status::Ok();
+  };
+  SLX_RETURN_IF_ERROR(db::WriteExport(options.store, "export", outcome.session, options.out,
+                                      MarkedNames(NamesOf(options.formats)), write));
   for (const std::string& name : NamesOf(options.formats)) outcome.files.push_back(options.out / name);
   return outcome;
 }

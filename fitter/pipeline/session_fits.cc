@@ -128,17 +128,18 @@ Status ReadFit(const StoredFit& fit, const UseOfFolder& read) {
 Status CopyFit(const std::string& store, const StoredFit& fit, const std::string& action, const fs::path& out) {
   SLX_ASSIGN_OR_RETURN(auto reader, db::FitReader::Open(fit.folder, fit.session, fit.seal));
   SLX_ASSIGN_OR_RETURN(const auto names, db::NamesOfFiles(fit.folder, db::kFitRecordFile));
-  for (bool announced = false; const std::string& name : names) {
-    // Opened before anything is written: without the key nothing is.
-    SLX_ASSIGN_OR_RETURN(const auto plain, reader.Read(name));
-    if (!announced) SLX_RETURN_IF_ERROR(db::BeginExport(store, action, fit.session, out, names));
-    announced = true;
-    SLX_RETURN_IF_ERROR(db::MakeFolder((out / name).parent_path()));
-    std::error_code error;
-    fs::copy_file(plain.path, out / name, fs::copy_options::overwrite_existing, error);
-    if (error) return Status::Failed("cannot write " + (out / name).string() + ": " + error.message());
-  }
-  return Status::Ok();
+  // Opened before anything is written: without the key nothing is.
+  if (!names.empty()) SLX_RETURN_IF_ERROR(reader.Read(names.front()).status());
+  return db::WriteExport(store, action, fit.session, out, names, [&]() -> Status {
+    for (const std::string& name : names) {
+      SLX_ASSIGN_OR_RETURN(const auto plain, reader.Read(name));
+      SLX_RETURN_IF_ERROR(db::MakeFolder((out / name).parent_path()));
+      std::error_code error;
+      fs::copy_file(plain.path, out / name, fs::copy_options::overwrite_existing, error);
+      if (error) return Status::Failed("cannot write " + (out / name).string() + ": " + error.message());
+    }
+    return Status::Ok();
+  });
 }
 
 }  // namespace stratalux::fit

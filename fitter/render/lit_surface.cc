@@ -80,17 +80,17 @@ BlockWindow LitPixels(const Image<float>& image) {
   return lit;
 }
 
-// Flux-weighted sum of up to 2 x 2 samples.
-LitSample Block(const Image<LitSample>& fine, int x, int y) {
+// Sum of up to 2 x 2 samples, weighted by the flux of a colour that the light has.
+LitSample Block(const Image<LitSample>& fine, int x, int y, int colour) {
   LitSample sum;
   float weight = 0.0F;
   const int x_end = std::min(x + 2, fine.width()), y_end = std::min(y + 2, fine.height());
   for (int j = y; j < y_end; ++j)
     for (int i = x; i < x_end; ++i) {
       const LitSample& s = fine(i, j);
-      weight += s.flux[1];
-      sum.point_mm += s.flux[1] * s.point_mm;
-      sum.normal += s.flux[1] * s.normal;
+      weight += s.flux[colour];
+      sum.point_mm += s.flux[colour] * s.point_mm;
+      sum.normal += s.flux[colour] * s.normal;
       for (int c = 0; c < 3; ++c) sum.flux[c] += s.flux[c];
     }
   if (!(weight > 0.0F)) return sum;
@@ -99,16 +99,16 @@ LitSample Block(const Image<LitSample>& fine, int x, int y) {
   for (int j = y; j < y_end; ++j)
     for (int i = x; i < x_end; ++i) {
       const LitSample& s = fine(i, j);
-      if (s.flux[1] > 0.0F)
-        sum.spread_mm2 += s.flux[1] / weight * (s.spread_mm2 + (s.point_mm - sum.point_mm).squaredNorm());
+      if (s.flux[colour] > 0.0F)
+        sum.spread_mm2 += s.flux[colour] / weight * (s.spread_mm2 + (s.point_mm - sum.point_mm).squaredNorm());
     }
   return sum;
 }
 
-Image<LitSample> Halve(const Image<LitSample>& fine) {
+Image<LitSample> Halve(const Image<LitSample>& fine, int colour) {
   Image<LitSample> coarse((fine.width() + 1) / 2, (fine.height() + 1) / 2);
   for (int y = 0; y < coarse.height(); ++y)
-    for (int x = 0; x < coarse.width(); ++x) coarse(x, y) = Block(fine, 2 * x, 2 * y);
+    for (int x = 0; x < coarse.width(); ++x) coarse(x, y) = Block(fine, 2 * x, 2 * y, colour);
   return coarse;
 }
 
@@ -205,7 +205,7 @@ LitPyramid LightWith(const LitSurface& lit, const Pattern& pattern, double patte
     for (float& f : blocks.pixels()[i].flux) f *= pyramid.pattern.pixels()[i];
   pyramid.levels.push_back(PlanesOf(blocks, pyramid.colour));
   for (int level = 1; level <= 6; ++level) {
-    blocks = Halve(blocks);
+    blocks = Halve(blocks, pyramid.colour);
     pyramid.levels.push_back(PlanesOf(blocks, pyramid.colour));
   }
   return pyramid;

@@ -79,8 +79,9 @@ bool InShadow(const LitSurface& lit, const Eigen::Vector2d& at, const Eigen::Vec
   constexpr double kSamePlaceMm = 3.0;
   const LitSample& s = lit.samples(std::clamp(static_cast<int>(std::lround(at.x())), 0, lit.samples.width() - 1),
                                    std::clamp(static_cast<int>(std::lround(at.y())), 0, lit.samples.height() - 1));
-  return s.flux[1] > 0.0F && (point - lit.light.CentreInCamera()).norm() >
-                                 (s.point_mm.cast<double>() - lit.light.CentreInCamera()).norm() + kSamePlaceMm;
+  const bool lit_there = std::ranges::any_of(s.flux, [](float flux) { return flux > 0.0F; });
+  return lit_there && (point - lit.light.CentreInCamera()).norm() >
+                          (s.point_mm.cast<double>() - lit.light.CentreInCamera()).norm() + kSamePlaceMm;
 }
 
 PixelShares::PixelShares(double mean, double sigma) {

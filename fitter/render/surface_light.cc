@@ -59,7 +59,6 @@ float ReflectanceAt(const ScatteringModel& model, const SurfaceMap& surface, con
 Image<float> SurfaceReflectance(const MixtureMap& map, const SurfaceMap& surface, const ProjectorCalibration& light,
                                 int pool) {
   Image<float> reflectance(surface.width(), surface.height(), map.channels, std::nanf(""));
-  const size_t lights = map.training_projectors.size();
   const bool known = map.scattering.reflection.Known();
   ParallelFor(reflectance.height(), 8, [&](int64_t begin, int64_t end) {
     for (int j = static_cast<int>(begin); j < end; ++j)
@@ -73,9 +72,7 @@ Image<float> SurfaceReflectance(const MixtureMap& map, const SurfaceMap& surface
             reflectance(i, j, c) = *of_any_colour;
             continue;
           }
-          float sum = 0.0F;
-          for (size_t p = 0; p < lights; ++p) sum += map.surface[profile * lights + p];
-          reflectance(i, j, c) = sum / static_cast<float>(lights);
+          reflectance(i, j, c) = MeanOfLights(map, profile).surface;
         }
       }
   });

@@ -224,12 +224,11 @@ double Dipole::TotalReflectance() const {
 }
 
 double MeanSurfaceReflectance(const MixtureMap& map, int channel, std::span<const uint8_t> apart) {
-  const size_t lights = map.training_projectors.size();
   double sum = 0.0, count = 0.0;
   for (int64_t i = channel; i < map.profiles(); i += map.channels) {
     if (!map.Fitted(i) || IsApart(apart, i)) continue;
-    for (size_t p = 0; p < lights; ++p) sum += map.surface[static_cast<size_t>(i) * lights + p];
-    count += static_cast<double>(lights);
+    sum += MeanOfLights(map, i).surface;
+    count += 1.0;
   }
   return count > 0.0 ? sum / count : 0.0;
 }

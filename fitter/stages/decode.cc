@@ -78,7 +78,9 @@ Result<AxisFrames> ReadAxis(const SessionFrames& frames, const CodeKind& code, i
       SLX_ASSIGN_OR_RETURN(rows.emplace_back(), frames.Require(projector, CapturePhase::kCorrespondence,
                                                                code.Of(axis, bit, bits, polarity), pose));
     }
-  for (int shift = 0; frames.plan() && shift < frames.plan()->separation_shifts; ++shift) {
+  const size_t of_bits = rows.size();
+  const int planned = frames.plan() ? frames.plan()->separation_shifts : 0;
+  for (int shift = 0; shift < planned; ++shift) {
     const PlanOptions& o = *frames.plan();
     const db::FrameRow* row = frames.Find(projector, CapturePhase::kSeparation,
                                           {.kind = PatternKind::kSinusoid,
@@ -89,6 +91,8 @@ Result<AxisFrames> ReadAxis(const SessionFrames& frames, const CodeKind& code, i
                                           pose);
     if (row != nullptr) rows.push_back(row);
   }
+  // Their phases are those of equal steps: where one is missing the bits alone are read.
+  if (rows.size() < of_bits + static_cast<size_t>(planned)) rows.resize(of_bits);
   SLX_ASSIGN_OR_RETURN(auto images, frames.ReadAll(rows));
   AxisFrames read;
   for (size_t i = 0; i < images.size(); ++i) {

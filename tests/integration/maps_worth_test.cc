@@ -47,7 +47,7 @@ class MapsWorth : public ScratchFolderTest {
       ASSERT_EQ(Execute("stratalux-rig capture --simulate" + at + visitor).code, 0);
     }
     // All layers that are compared here, those fitted below too, stand on the surface as the codes have it.
-    const Outcome made = Execute("stratalux-fit maps latest --offset off" + at, Show::kStdout);
+    const Outcome made = Execute("stratalux-fit fit latest --offset off" + at, Show::kStdout);
     ASSERT_EQ(made.code, 0) << made.out;
     for (const auto& entry : fs::directory_iterator(fs::path(store) / "sessions")) session_ = entry.path();
     auto srds = LoadSrds(Artifact("srd"));

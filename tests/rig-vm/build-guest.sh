@@ -63,8 +63,9 @@ kernel=$(apt-cache show --no-all-versions linux-image-amd64 2>/dev/null |
 version=$(apt-cache show --no-all-versions "linux-image-$kernel" | sed -n 's/^Version: //p')
 series=$(cut -d. -f1,2 <<<"$kernel")
 kbuild=$(apt-cache show --no-all-versions "linux-headers-$kernel" | sed -nE 's/^Depends:.*(linux-kbuild-[^ ,]*).*/\1/p')
+# Tools of any version build for these headers: for days a security update has them before the signed kernel follows.
 kernel_packages=("linux-image-$kernel=$version" "linux-headers-$kernel=$version"
-                 "linux-headers-${kernel%-amd64}-common=$version" "$kbuild=$version" "linux-source-$series=$version")
+                 "linux-headers-${kernel%-amd64}-common=$version" "$kbuild" "linux-source-$series=$version")
 mapfile -t guest < <(guest_packages | while read -r names _; do as_named_here "$names"; done)
 fetch() {  # FOLDER [OPTION]: the packages into FOLDER; with --print-uris only names those it does not hold yet
   cd "$1" && apt-get download "${apt_options[@]}" ${2:+"$2"} "${kernel_packages[@]}" &&

@@ -194,6 +194,60 @@ TEST_F(HeldOutTakes, TheErrorLessTheNoiseIsThatAgainstTheLightItself) {
   }
 }
 
+// A sweep whose first exposure is not the nominal one: as if it were.
+TEST_F(HeldOutTakes, OfAnotherExposureThanTheNominalOneAreAsIfOfThat) {
+  PlanOptions longer = QuarterPlan();
+  longer.brackets = {2.0};
+  const SessionFrames as_captured = AsCaptured("nominal");
+  const double level = as_captured.calibration()->camera.black_level_dn,
+               top = as_captured.calibration()->camera.saturation_dn;
+  const SessionFrames frames = Session("longer", longer, [&](Frame& frame) {
+    const FrameRecord& r = frame.record;
+    const bool stripe =
+        r.phase == CapturePhase::kSweep || (r.phase == CapturePhase::kRepeat && r.pattern.kind == PatternKind::kComb);
+    if (stripe)
+      for (uint16_t& v : frame.pixels.pixels())
+        v = static_cast<uint16_t>(std::clamp(std::lround(level + 2.0 * (v - level)), 0L, 4095L));
+    return true;
+  });
+  for (const std::string light : {"stripe", "spot"}) {
+    const auto nominal = ReadHeldOutTarget(as_captured, 1, light), of_longer = ReadHeldOutTarget(frames, 1, light);
+    ASSERT_TRUE(nominal.ok() && of_longer.ok());
+    int compared = 0;
+    for (size_t i = 0; i < nominal->target.size(); ++i) {
+      const float one = nominal->target.pixels()[i], other = of_longer->target.pixels()[i];
+      if (!std::isfinite(one) || !std::isfinite(other) || 2.0 * one > 0.9 * top) continue;
+      ASSERT_NEAR(other, one, 0.5) << light;
+      ASSERT_NEAR(of_longer->noise.pixels()[i], nominal->noise.pixels()[i], 0.5) << light;
+      ++compared;
+    }
+    EXPECT_GT(compared, 10000) << light;
+  }
+}
+
+// Of sinusoids one of which is lost the phases would be those of other steps.
+TEST_F(HeldOutTakes, ALostSinusoidLeavesTheBitsOfItsAxisAlone) {
+  const SessionFrames frames = Session("shift", QuarterPlan(), [](Frame& frame) {
+    const Pattern& shown = frame.record.pattern;
+    return shown.kind != PatternKind::kSinusoid || shown.axis != PatternAxis::kColumns || shown.shift != 3;
+  });
+  const SensorNoise noise = SensorNoise::From(frames.calibration()->camera);
+  const PlanOptions plan = QuarterPlan();
+  const auto read = [&](CodeReading reading) {
+    return DecodeProjector(frames, 0, -1, plan.projector_width, plan.projector_height, noise, reading);
+  };
+  const auto left = read(CodeReading::kWithSinusoids), bits = read(CodeReading::kBitsAlone);
+  ASSERT_TRUE(left.ok() && bits.ok());
+  int known = 0;
+  for (size_t i = 0; i < bits->map.column.size(); ++i) {
+    const float column = left->map.column.pixels()[i], by_bits = bits->map.column.pixels()[i];
+    if (std::isnan(by_bits) || std::isnan(column)) continue;
+    ASSERT_EQ(column, by_bits);
+    ++known;
+  }
+  EXPECT_GT(known, 10000);
+}
+
 TEST_F(HeldOutTakes, ALostTakeIsToldByName) {
   const SessionFrames frames = Session("lost", QuarterPlan(), [](Frame& frame) {
     return frame.record.phase != CapturePhase::kRepeat || frame.record.projector != 1 ||

@@ -245,6 +245,32 @@ TEST(RenderSubsurface, AgreesWithTheDoubleLoop) {
   }
 }
 
+// A red lamp, and a blue one: what they show in their colour is what white light shows in it, shadows too.
+TEST(RenderSubsurface, ALightWithoutGreenShowsItsColourAsWhiteDoes) {
+  const LitScene white = MakeScene(FaceLike(), kFromLeft, Cfa::kRggb);
+  const MixtureMap map = VaryingSkin(white, SkinLayers());
+  const Image<float> all = Render(white, map, kWhite);
+  for (const int colour : {0, 2}) {
+    ProjectorCalibration lamp = white.lit.light;
+    for (int c = 0; c < 3; ++c)
+      if (c != colour) lamp.white_dn_mm2_per_ms[c] = 0.0;
+    LitScene one = white;
+    one.rig.projectors[0] = lamp;
+    one.lit = BuildLitSurface(white.surface, lamp, white.lit.exposure_ms);
+    const Image<float> shown = Render(one, map, kWhite);
+    float most = 0.0F, off = 0.0F, other = 0.0F;
+    for (int j = 0; j < all.height(); ++j)
+      for (int i = 0; i < all.width(); ++i) {
+        most = std::max(most, all(i, j, colour));
+        off = std::max(off, std::abs(shown(i, j, colour) - all(i, j, colour)));
+        other = std::max(other, shown(i, j, 1));
+      }
+    ASSERT_GT(most, 1.0F);
+    EXPECT_LT(off, 0.01F * most) << colour;
+    EXPECT_EQ(other, 0.0F) << colour;
+  }
+}
+
 TEST(RenderSubsurface, ShowsEachPatternAsIfItWereAlone) {
   // Colours of unlike strength, the brightest of which the blocks hold; patterns one of which leaves much of the face
   // dark.
@@ -436,6 +462,9 @@ TEST(SurfaceReflectance, OfAFitWithoutOneIsTheMeanOfItsLights) {
   skin.surface.assign(2 * static_cast<size_t>(skin.profiles()), 0.02F);
   for (size_t k = 1; k < skin.surface.size(); k += 2) skin.surface[k] = 0.04F;
   EXPECT_NEAR(SurfaceReflectance(skin, scene.surface, scene.lit.light, 1)(20, 20), 0.03F, 1e-7);
+  // Of those that lit it.
+  for (size_t k = 1; k < skin.surface.size(); k += 2) skin.surface[k] = 0.0F;
+  EXPECT_NEAR(SurfaceReflectance(skin, scene.surface, scene.lit.light, 1)(20, 20), 0.02F, 1e-7);
 }
 
 }  // namespace
