@@ -93,7 +93,8 @@ Masks MakeMasks(const CompareInput& in, const Image<uint8_t>& fitted, const Judg
   return masks;
 }
 
-// The light as it was captured, as if at the nominal exposure: the mean of its takes, half their difference, the camera's own noise of that mean.
+// The light as it was captured, as if at the nominal exposure: the mean of its takes, half their difference, the
+// camera's own noise of that mean.
 struct Target {
   Image<float> light, noise, variance;
   int takes = 1;

@@ -71,7 +71,8 @@ Result<HeldOutTarget> ReadHeldOutTarget(const SessionFrames& frames, int project
     if (y.size() != result.target.size())
       return Status::Integrity("session " + frames.info().id + ": takes of the " + light + " light of projector " +
                                std::to_string(projector) + " differ in size");
-    const float share = 1.0F / static_cast<float>(static_cast<double>(takes.size()) * factor), sign = 2 * k < takes.size() ? share : -share;
+    const float share = 1.0F / static_cast<float>(static_cast<double>(takes.size()) * factor),
+                sign = 2 * k < takes.size() ? share : -share;
     for (size_t i = 0; i < y.size(); ++i) {
       result.target.pixels()[i] += share * y.pixels()[i];
       result.noise.pixels()[i] += sign * y.pixels()[i];

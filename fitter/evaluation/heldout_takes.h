@@ -26,7 +26,7 @@ namespace stratalux::fit {
 struct HeldOutTarget {
   // Quads, digital numbers above the mean black frame, as if at the nominal exposure; NaN where a take is saturated.
   Image<float> target;
-  Image<float> noise;   // of `target`, same shape; without that of the black frame, which all takes share
+  Image<float> noise;  // of `target`, same shape; without that of the black frame, which all takes share
   int takes = 0;
 };
 
