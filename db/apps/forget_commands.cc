@@ -46,7 +46,11 @@ std::string ExportsAsText(const std::vector<ForgottenExport>& exports, const For
   std::string text;
   for (const ForgottenExport& e : exports)
     text += "  export " + e.place + ": " +
-            (flags.dry_run && e.state == ExportState::kDeleted ? "would be deleted" : ToString(e.state)) + "\n";
+            (!flags.dry_run                     ? ToString(e.state)
+             : e.state == ExportState::kDeleted ? "would be deleted"
+             : e.state == ExportState::kKept    ? "cannot be looked into from here, and would stay"
+                                                : ToString(e.state)) +
+            "\n";
   return text;
 }
 

@@ -166,6 +166,8 @@ Result<int64_t> JobStore::Enqueue(const JobRequest& request) {
   SLX_RETURN_IF_ERROR(Check(request));
   int64_t id = 0;
   const auto enqueue = [&](Connection& connection) -> Status {
+    // A job of a worker that fell silent waits.
+    if (request.anew) SLX_RETURN_IF_ERROR(impl_->EndLeases(connection));
     std::optional<int64_t> session;
     if (!request.session.empty()) {
       SLX_ASSIGN_OR_RETURN(session, impl_->index.NumberOf(request.session));

@@ -192,24 +192,31 @@ Result<ExportReport> ExportVisitor(const SessionStore& store, const std::string&
     return Status::Usage(options.out.string() + " is not empty and no interrupted export; choose another folder");
   SLX_RETURN_IF_ERROR(MakeFolder(options.out));
   // Both speak of every session, and name the visitor: they go with whichever is forgotten first, as in a crate.
+  const std::vector<std::string> of_all = {known.filename().string(), readme.filename().string()};
   for (const SessionSummary& session : sessions)
-    SLX_RETURN_IF_ERROR(BeginExport(store.folder(), "export", session.info.id, options.out,
-                                    {known.filename().string(), readme.filename().string()}));
-  SLX_RETURN_IF_ERROR(WriteTextOnce(known, json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n").status());
-  SLX_RETURN_IF_ERROR(WriteTextOnce(readme, ReadmeFor(visitor, sessions, options.format)).status());
+    SLX_RETURN_IF_ERROR(BeginExport(store.folder(), "export", session.info.id, options.out, of_all));
   ExportReport total;
-  for (const SessionSummary& session : sessions) {
-    ExportOptions one = options;
-    one.out = options.out / session.info.id;
-    SLX_ASSIGN_OR_RETURN(const SessionRow row, store.FindSession(session.info.id));
-    SLX_ASSIGN_OR_RETURN(const ExportReport report, ExportOne(store, row, one, Fits::kIncluded, logger));
-    total.sessions += report.sessions;
-    total.written += report.written;
-    total.kept += report.kept;
-  }
+  const auto write = [&]() -> Status {
+    SLX_RETURN_IF_ERROR(WriteTextOnce(known, json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n").status());
+    SLX_RETURN_IF_ERROR(WriteTextOnce(readme, ReadmeFor(visitor, sessions, options.format)).status());
+    for (const SessionSummary& session : sessions) {
+      ExportOptions one = options;
+      one.out = options.out / session.info.id;
+      SLX_ASSIGN_OR_RETURN(const SessionRow row, store.FindSession(session.info.id));
+      SLX_ASSIGN_OR_RETURN(const ExportReport report, ExportOne(store, row, one, Fits::kIncluded, logger));
+      total.sessions += report.sessions;
+      total.written += report.written;
+      total.kept += report.kept;
+    }
+    return Status::Ok();
+  };
+  const Status written = write();
+  Status stays;  // of all, also behind a failure: that may be a forgetting's
   for (const SessionSummary& session : sessions)
-    SLX_RETURN_IF_ERROR(EndExport(store.folder(), session.info.id, options.out,
-                                  {known.filename().string(), readme.filename().string()}));
+    if (Status ended = EndExport(store.folder(), session.info.id, options.out, of_all); stays.ok())
+      stays = std::move(ended);
+  if (!stays.ok()) return stays;
+  if (!written.ok()) return written;
   return total;
 }
 

@@ -5,7 +5,6 @@
 #include <set>
 #include <utility>
 
-#include "db/base/paths.h"
 #include "db/catalogue/deletions.h"
 #include "db/interchange/image_file.h"
 #include "db/privacy/export_marker.h"
@@ -90,13 +89,12 @@ Status AppendFrame(SessionWriter& writer, const ImportManifest& manifest, const 
 }
 
 // What `forget` could not reach, such as an export on another machine, must not come back by this door.
-Status RefuseForgottenExports(const std::filesystem::path& store, const ImportManifest& manifest,
-                              const ImportOptions& options) {
+Status RefuseForgottenExports(const std::filesystem::path& store, const ImportManifest& manifest) {
   // An export's marker lies in its own folder, its frames below.
-  const std::filesystem::path own = options.manifest.parent_path(), root = options.root.empty() ? own : options.root;
-  std::set<std::filesystem::path> folders = {own, root};
+  std::set<std::filesystem::path> folders;
   for (const ImportFrame& frame : manifest.frames)
-    for (auto folder = frame.file.parent_path(); folders.insert(folder).second && LiesIn(folder, root);)
+    for (auto folder = std::filesystem::absolute(frame.file).parent_path();
+         folders.insert(folder).second && folder.has_relative_path();)
       folder = folder.parent_path();
   for (const auto& folder : folders)
     for (const std::string& session : ExportsIn(folder))
@@ -108,7 +106,7 @@ Status RefuseForgottenExports(const std::filesystem::path& store, const ImportMa
 
 Result<ImportReport> ImportSession(SessionStore& store, const ImportOptions& options, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(ImportManifest manifest, ReadImportManifest(options));
-  SLX_RETURN_IF_ERROR(RefuseForgottenExports(store.folder(), manifest, options));
+  SLX_RETURN_IF_ERROR(RefuseForgottenExports(store.folder(), manifest));
   const auto total = static_cast<int64_t>(manifest.frames.size());
   {
     Progress progress(logger, "check", total);

@@ -138,7 +138,8 @@ std::string HiddenBy(const std::string& mountinfo, const fs::path& folder) {
     words >> id >> parent >> device >> root >> point;
     const bool made_so =
         root.find("/systemd-private-") != std::string::npos || root.find("/inaccessible/") != std::string::npos;
-    if (made_so && !point.empty() && LiesIn(folder, point)) hidden_by = point;
+    // Later mounts lie on top.
+    if (!point.empty() && LiesIn(folder, point)) hidden_by = made_so ? point : "";
   }
   return hidden_by;
 }

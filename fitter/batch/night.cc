@@ -96,6 +96,7 @@ class Night {
   Status LookAt(Attempt& attempt);
   Status Reap();
   Status NotBegun(const db::Job& job, NightEvent event, const Status& why);
+  Status Fail(const db::Job& job, NightEvent event, const std::string& reason, bool again);
   Status Drop(const db::Job& job, NightEvent event, const std::string& reason);
   Status Finish(Attempt& attempt, const WorkerEnd& end);
   void Wait() const;
@@ -234,12 +235,18 @@ Status Night::Launch(const db::Job& job) {
 Status Night::NotBegun(const db::Job& job, NightEvent event, const Status& why) {
   if (const Status may = MayGoOn(job.request.session); Forbids(may)) return Drop(job, event, may.message());
   // A key that is missing stays missing: it was chosen by who had it, or another night asked for it.
-  const bool again = !Forbids(why);
+  return Fail(job, event, why.message(), !Forbids(why));
+}
+
+// This attempt; the next one waits longer each time.
+Status Night::Fail(const db::Job& job, NightEvent event, const std::string& reason, bool again) {
   const bool last = job.attempts >= job.request.max_attempts;
-  SLX_RETURN_IF_ERROR(
-      jobs_.Fail(job.token, why.message(), again ? std::optional<milliseconds>(options_.back_off) : std::nullopt));
+  const auto back_off = options_.back_off * (1 << std::min(job.attempts - 1, 10));
+  const Status failed = jobs_.Fail(job.token, reason, again ? std::optional<milliseconds>(back_off) : std::nullopt);
+  // Refused: its session went, or another worker has it.
+  if (!failed.ok() && failed.code() != StatusCode::kFailed) return failed;
   event.kind = !again ? NightEventKind::kFailed : last ? NightEventKind::kSetAside : NightEventKind::kRetry;
-  event.reason = why.message();
+  event.reason = reason;
   if (event.kind != NightEventKind::kRetry) ++outcome_.failed;
   return Tell(event);
 }
@@ -303,9 +310,8 @@ Status Night::Finish(Attempt& attempt, const WorkerEnd& end) {
                    .peak_bytes = end.peak_bytes};
   const auto what = nlohmann::json::parse(attempt.job.request.options_json, nullptr, false);
   event.fit = what.value("fit", "");
-  const int64_t token = attempt.job.token;
   if (end.exit_code == 0) {
-    const Status completed = jobs_.Complete(token);
+    const Status completed = jobs_.Complete(attempt.job.token);
     if (!completed.ok() && completed.code() != StatusCode::kFailed) return completed;
     // Refused: another worker has the job, or its session went. What it entered before that stands.
     if (!completed.ok()) logger_.Warning(completed.message());
@@ -330,13 +336,7 @@ Status Night::Finish(Attempt& attempt, const WorkerEnd& end) {
   // In the same words twice: it is no accident.
   const bool repeats = end.exit_code >= 0 && event.reason == attempt.job.last_error;
   const bool again = end.exit_code < 0 || (WorthTryingAgain(end.exit_code) && !repeats);
-  const bool last = attempt.job.attempts >= attempt.job.request.max_attempts;
-  const auto back_off = options_.back_off * (1 << std::min(attempt.job.attempts - 1, 10));
-  const Status failed = jobs_.Fail(token, event.reason, again ? std::optional<milliseconds>(back_off) : std::nullopt);
-  if (!failed.ok() && failed.code() != StatusCode::kFailed) return failed;
-  event.kind = !again ? NightEventKind::kFailed : last ? NightEventKind::kSetAside : NightEventKind::kRetry;
-  if (event.kind != NightEventKind::kRetry) ++outcome_.failed;
-  return Tell(event);
+  return Fail(attempt.job, event, event.reason, again);
 }
 
 Status Night::Reap() {

@@ -14,7 +14,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kPredictVersion = 13;
+inline constexpr int kPredictVersion = 14;
 
 // Quads x colours.
 struct Prediction {

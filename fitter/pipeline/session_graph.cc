@@ -383,7 +383,9 @@ std::string SessionGraph::Maps() {
               [=, this](const fs::path& folder) -> Status {
                 MakeRoomForAFit();
                 SLX_ASSIGN_OR_RETURN(const SrdSet* srds, Srds(from, FitKind::kJudged, options_.heldout));
-                SLX_ASSIGN_OR_RETURN(const auto made, FitMaps(*srds, options_.heldout, options_.fit, logger_, label));
+                SLX_ASSIGN_OR_RETURN(const SharedLight shared, Shared(from, *srds, kNoneHeldOut));
+                SLX_ASSIGN_OR_RETURN(const auto made,
+                                     FitMaps(*srds, options_.heldout, options_.fit, shared, logger_, label));
                 return SaveMaps(folder, made);
               }});
 }

@@ -275,7 +275,11 @@ Result<std::string> SessionFrames::FramesHash() const {
   rows.insert(rows.end(), replaced_.begin(), replaced_.end());
   SLX_ASSIGN_OR_RETURN(const std::string pixels, db::PixelDigest(store_, session_, rows));
   std::string all = info().id + info().plan_json + pixels;
-  for (const db::FrameRow& row : rows) all += row.record.pattern.ToString();
+  for (const db::FrameRow& row : rows) {
+    all += row.record.pattern.ToString();
+    // What no reader takes says so: a frame may be withdrawn after fits were made of it.
+    if (row.record.level_check == LevelCheck::kFailed) all += " failed " + std::to_string(row.id);
+  }
   return db::HashHex(all);
 }
 

@@ -14,7 +14,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kDecodeVersion = 6;
+inline constexpr int kDecodeVersion = 7;
 
 struct CodeSize {
   int columns = 0, rows = 0;  // of the projectors: as the plan says, or the most that the stored code can number

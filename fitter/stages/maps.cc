@@ -24,11 +24,11 @@ double MedianDivergence(const MixtureMap& map) {
 
 }  // namespace
 
-Result<AllLayers> FitMaps(const SrdSet& srds, int heldout, const FitOptions& options, Logger& logger,
-                          const std::string& label) {
+Result<AllLayers> FitMaps(const SrdSet& srds, int heldout, const FitOptions& options, const SharedLight& shared,
+                          Logger& logger, const std::string& label) {
   SLX_ASSIGN_OR_RETURN(const auto all, TrainingLightsOf(srds, kNoneHeldOut));
   AllLayers made;
-  SLX_ASSIGN_OR_RETURN(made.layers.map, FitLayers(srds, kNoneHeldOut, options, logger, label));
+  SLX_ASSIGN_OR_RETURN(made.layers.map, FitLayers(srds, kNoneHeldOut, options, shared, logger, label));
   const MixtureMap& map = made.layers.map;
   made.layers.pool = srds.pool;
   made.layers.signal_to_noise = SignalToNoise(map, all.batches);

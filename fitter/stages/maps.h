@@ -30,9 +30,9 @@ struct AllLayers {
   MapsFigures figures;
 };
 
-// `heldout`: of the fit that these stand beside.
-[[nodiscard]] Result<AllLayers> FitMaps(const SrdSet& srds, int heldout, const FitOptions& options, Logger& logger,
-                                        const std::string& label);
+// `heldout`: of the fit that these stand beside; `shared`: found by all lights.
+[[nodiscard]] Result<AllLayers> FitMaps(const SrdSet& srds, int heldout, const FitOptions& options,
+                                        const SharedLight& shared, Logger& logger, const std::string& label);
 
 // maps/: the files of SaveLayers and WriteLayerMaps, and maps.json.
 Status SaveMaps(const std::filesystem::path& folder, const AllLayers& made);

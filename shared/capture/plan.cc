@@ -14,8 +14,9 @@ constexpr std::array<std::string_view, 10> kPhases = {"preroll", "reference", "c
 constexpr std::array<std::string_view, 5> kKinds = {"visitor", "calibration", "dark", "flat", "response"};
 constexpr std::array<std::string_view, 2> kSyncModes = {"triggered", "free_running"};
 
-// What the sessions that measure light show beyond white, black and codes; docs/capture-plan.md gives the reasons.
 constexpr size_t kMostSteps = 100'000;  // a visitor's is some 700
+
+// What the sessions that measure light show beyond white, black and codes; docs/capture-plan.md gives the reasons.
 constexpr int kDarkRepeats = 16;        // frames of each exposure
 constexpr int kRampRepeats = 2;         // whites of each exposure: their difference is noise alone
 constexpr int kGreySteps = 32;          // of a projector's ramp

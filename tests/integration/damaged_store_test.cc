@@ -5,6 +5,7 @@
 #include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
 
+#include "db/catalogue/session_store.h"
 #include "tests/integration/tiny_session.h"
 
 namespace stratalux {
@@ -203,9 +204,11 @@ class DamagedIndex : public TinyStore {
 
 TEST_F(DamagedIndex, OfANewerSchema) {
   std::string bytes = ReadText(Index());
-  bytes[63] = 9;  // user_version, big-endian, at 60
+  bytes[63] = static_cast<char>(db::kSchemaVersion + 1);  // user_version, big-endian, at 60
   WriteText(Index(), bytes);
-  ExpectRefusedByAll(7, {Index().string(), "schema 9 is newer than this program's ", "use a newer stratalux"});
+  ExpectRefusedByAll(
+      7, {Index().string(), "schema " + std::to_string(db::kSchemaVersion + 1) + " is newer than this program's ",
+          "use a newer stratalux"});
   ExpectRefused("stratalux-db init", 7, {Index().string(), "use a newer stratalux"});
 }
 

@@ -82,6 +82,10 @@ class MapsWorth : public ScratchFolderTest {
   Logger logger_;
 };
 
+SharedLight SharedOf(const SrdSet& srds) {
+  return FindSharedLight({}, TrainingLightsOf(srds, kNoneHeldOut)->batches, srds.channels);
+}
+
 // Of all maps, on one mask: skin that the light truly reaches and that each of them has fitted.
 std::vector<double> ErrorsOf(const std::vector<const MixtureMap*>& maps, const FaceShape& shape,
                              const SceneTruth& truth, const PlanOptions& plan, int pool) {
@@ -119,12 +123,12 @@ TEST_F(MapsWorth, AreNearerToTheTruthThanTheFitOfThree) {
   const auto fit = LoadLayers(Artifact("fit"));
   ASSERT_TRUE(fit.ok()) << fit.status().message();
   const FitOptions options;
-  const auto maps = FitMaps(srds_, kHeldOut, options, logger_, "maps");
+  const auto maps = FitMaps(srds_, kHeldOut, options, SharedOf(srds_), logger_, "maps");
   ASSERT_TRUE(maps.ok()) << maps.status().message();
   // Ablation: the fourth light's samples are those of a light from the other side.
   SrdSet wrong = srds_;
   for (float& slope : wrong.batches[kHeldOut].slope_in) slope = -slope;
-  const auto spoilt = FitMaps(wrong, kHeldOut, options, logger_, "spoilt");
+  const auto spoilt = FitMaps(wrong, kHeldOut, options, SharedOf(wrong), logger_, "spoilt");
   ASSERT_TRUE(spoilt.ok());
 
   const std::vector<const MixtureMap*> all = {&fit->map, &maps->layers.map, &spoilt->layers.map};

@@ -251,6 +251,12 @@ TEST_F(JobStoreTest, ARequestMadeAnewIsTheOneThatCounts) {
   ASSERT_EQ(*jobs.Enqueue(request("[4]")), id);
   EXPECT_EQ(jobs.Find(id)->state, JobState::kQueued);
   EXPECT_EQ(jobs.Find(id)->request.options_json, "[4]");
+  // Of a night that was killed: nobody works on it any more.
+  ASSERT_TRUE(Lease(jobs).has_value());
+  boot_ += std::chrono::hours(1);
+  ASSERT_EQ(*jobs.Enqueue(request("[5]")), id);
+  EXPECT_EQ(jobs.Find(id)->state, JobState::kQueued);
+  EXPECT_EQ(jobs.Find(id)->request.options_json, "[5]");
 }
 
 // By triggers, which nothing that happens to a job may miss.

@@ -184,11 +184,17 @@ Mutant ChangeDatabase(const fs::path& folder, const std::string& name, Random& r
   if (!connection.ok() || !connection->Execute("PRAGMA foreign_keys = OFF; PRAGMA ignore_check_constraints = ON").ok())
     return ChangeBytes(folder, random);
   if (Below(random, 20) == 0) {
-    const std::vector<std::string> statements = {
-        "DROP VIEW session_overview",   "DROP VIEW session_findings",  "DROP INDEX frames_by_step",
-        "DROP INDEX sessions_by_visit", "PRAGMA user_version = 8",     "PRAGMA user_version = 5",
-        "PRAGMA application_id = 5",    "DELETE FROM sqlite_sequence", "ALTER TABLE frames ADD COLUMN x TEXT",
-        "DROP TABLE metrics",           "CREATE VIEW v AS SELECT 1"};
+    const std::vector<std::string> statements = {"DROP VIEW session_overview",
+                                                 "DROP VIEW session_findings",
+                                                 "DROP INDEX frames_by_step",
+                                                 "DROP INDEX sessions_by_visit",
+                                                 "PRAGMA user_version = " + std::to_string(kSchemaVersion + 1),
+                                                 "PRAGMA user_version = 5",
+                                                 "PRAGMA application_id = 5",
+                                                 "DELETE FROM sqlite_sequence",
+                                                 "ALTER TABLE frames ADD COLUMN x TEXT",
+                                                 "DROP TABLE metrics",
+                                                 "CREATE VIEW v AS SELECT 1"};
     const std::string& statement = OneOf(statements, random);
     (void)connection->Execute(statement).ok();
     return {statement, name, false};

@@ -110,6 +110,9 @@ TEST_F(ExportMarkerTest, SaysWhichPlacesAUnitOfSystemdDoesNotSee) {
   EXPECT_EQ(HiddenBy(unit, "/srv/exports"), "");
   EXPECT_EQ(HiddenBy(unit, "/tmpfiles"), "");
   EXPECT_EQ(HiddenBy(shell, "/tmp/pictures"), "");
+  const std::string bound = unit + "53 51 8:1 /exports /tmp/exports rw - ext4 /dev/sda1 rw\n";
+  EXPECT_EQ(HiddenBy(bound, "/tmp/exports/x"), "") << "BindPaths";
+  EXPECT_EQ(HiddenBy(bound, "/tmp/pictures"), "/tmp");
 }
 
 }  // namespace

@@ -52,7 +52,8 @@ class MapsStage : public ::testing::Test {
     return layers;
   }
   AllLayers MapsOf(const SrdSet& srds) {
-    auto made = FitMaps(srds, kHeldOut, Options(), logger_, "maps");
+    const SharedLight shared = FindSharedLight(Options(), TrainingLightsOf(srds, kNoneHeldOut)->batches, srds.channels);
+    auto made = FitMaps(srds, kHeldOut, Options(), shared, logger_, "maps");
     EXPECT_TRUE(made.ok()) << made.status().message();
     return *std::move(made);
   }

@@ -12,6 +12,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "db/base/sqlite.h"
 #include "db/segment/segment.h"
 #include "tests/db/store_fixture.h"
 
@@ -102,6 +103,12 @@ TEST_F(SessionFramesTest, OnlyWhatIsKeptIsKnown) {
   EXPECT_TRUE(frames.MeanBlack(1).ok());
   EXPECT_EQ(frames.MeanWhite(1, count).status().code(), StatusCode::kNotFound);
   EXPECT_NE(*frames.FramesHash(), *all);
+  // Nor is it the same where one is withdrawn later.
+  auto index = db::Connection::Open(folder_ / "index.sqlite", db::Connection::Mode::kReadWrite);
+  ASSERT_TRUE(index.ok() && index->Execute("UPDATE frames SET level_check = 2 WHERE frame = 0").ok());
+  const auto withdrawn = SessionFrames::Open(folder_.string(), "latest");
+  ASSERT_TRUE(withdrawn.ok());
+  EXPECT_NE(*withdrawn->FramesHash(), *all);
 }
 
 TEST_F(SessionFramesTest, OfAStepShotAgainTheLastGoodFrameCounts) {
