@@ -89,8 +89,9 @@ class Night {
   Result<bool> StartOne();
   [[nodiscard]] bool Fits() const;
   [[nodiscard]] bool InTime() const;
-  // kUsage: consent was withdrawn or the session forgotten; kNotFound: it is not listed any more; others: not known.
-  [[nodiscard]] Status MayGoOn(const std::string& session) const;
+  // The session's row. kUsage: consent was withdrawn or it was forgotten; kNotFound: it is not listed any more; others:
+  // not known.
+  [[nodiscard]] Result<db::SessionRow> MayGoOn(const std::string& session) const;
   Status Launch(const db::Job& job);
   Status Watch();
   Status LookAt(Attempt& attempt);
@@ -189,11 +190,12 @@ Result<bool> Night::StartOne() {
   return true;
 }
 
-Status Night::MayGoOn(const std::string& session) const {
+Result<db::SessionRow> Night::MayGoOn(const std::string& session) const {
   if (options_.also_asked) SLX_RETURN_IF_ERROR(options_.also_asked(session));
   SLX_RETURN_IF_ERROR(db::RefuseForgotten(options_.choice.run.store, session));
-  SLX_ASSIGN_OR_RETURN(const auto row, store_.FindSession(session));
-  return MayStillBeFitted(options_.choice.run.store, session, row.info.visitor);
+  SLX_ASSIGN_OR_RETURN(auto row, store_.FindSession(session));
+  SLX_RETURN_IF_ERROR(MayStillBeFitted(options_.choice.run.store, session, row.info.visitor));
+  return row;
 }
 
 Status Night::Launch(const db::Job& job) {
@@ -212,8 +214,7 @@ Status Night::Launch(const db::Job& job) {
   } catch (const nlohmann::json::exception& error) {
     return jobs_.Fail(job.token, std::string("its options are no night's: ") + error.what(), std::nullopt);
   }
-  if (const Status may = MayGoOn(session); !may.ok()) return NotBegun(job, event, may);
-  const auto row = store_.FindSession(session);
+  const auto row = MayGoOn(session);
   if (!row.ok()) return NotBegun(job, event, row.status());
   attempt->log = log_.WorkerLog(session, job.attempts);
   WorkerOptions start{command, attempt->log, options_.threads, options_.nice};
@@ -233,7 +234,7 @@ Status Night::Launch(const db::Job& job) {
 
 // Dropped where it may not be fitted any more; else tried again where another time may help.
 Status Night::NotBegun(const db::Job& job, NightEvent event, const Status& why) {
-  if (const Status may = MayGoOn(job.request.session); Forbids(may)) return Drop(job, event, may.message());
+  if (const Status may = MayGoOn(job.request.session).status(); Forbids(may)) return Drop(job, event, may.message());
   // A key that is missing stays missing: it was chosen by who had it, or another night asked for it.
   return Fail(job, event, why.message(), !Forbids(why));
 }
@@ -271,7 +272,7 @@ Status Night::LookAt(Attempt& attempt) {
   attempt.next_heartbeat = Clock::now() + options_.lease / 4;
   if (!attempt.no_longer.empty() || !attempt.lost.empty()) return Status::Ok();
   const Status ours = jobs_.Heartbeat(attempt.job.token, options_.lease);
-  const Status may = MayGoOn(attempt.job.request.session);
+  const Status may = MayGoOn(attempt.job.request.session).status();
   if (Forbids(may)) attempt.no_longer = may.message();
   // A night that was held up for longer than a lease: somebody else has the visitor, and goes on.
   if (!Forbids(may) && !ours.ok() && ours.code() != StatusCode::kBusy) attempt.lost = ours.message();
@@ -326,7 +327,7 @@ Status Night::Finish(Attempt& attempt, const WorkerEnd& end) {
   }
   // A worker that does not find its session says no more than that something is not there: it may be a frame.
   if (attempt.no_longer.empty() && end.exit_code == static_cast<int>(StatusCode::kNotFound))
-    if (const Status may = MayGoOn(event.session); Forbids(may)) attempt.no_longer = may.message();
+    if (const Status may = MayGoOn(event.session).status(); Forbids(may)) attempt.no_longer = may.message();
   if (!attempt.no_longer.empty()) return Drop(attempt.job, event, attempt.no_longer);
   event.reason = !attempt.killed.empty() ? attempt.killed
                  : end.signal != 0       ? Formatted("ended by signal %d (%s)", end.signal, strsignal(end.signal))
