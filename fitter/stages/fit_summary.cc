@@ -53,27 +53,38 @@ bool IsWeak(const MixtureMap& map, int64_t profile, bool apart) {
 
 }  // namespace
 
+double MedianDivergence(const MixtureMap& map) {
+  std::vector<float> divergence;
+  for (int64_t i = 0; i < map.profiles(); ++i)
+    if (map.Fitted(i)) divergence.push_back(map.divergence[i]);
+  return divergence.empty() ? 0.0 : Median(divergence);
+}
+
+std::map<std::string, int64_t> MaskedByReason(const MixtureMap& map) {
+  std::map<std::string, int64_t> masked;
+  for (int64_t i = 0; i < map.profiles(); ++i)
+    if (const auto reason = static_cast<FitReason>(map.reason[i]); reason != FitReason::kFitted)
+      ++masked[ToString(reason)];
+  return masked;
+}
+
 FitSummary Summarise(const MixtureMap& map, const SrdSet& srds, int heldout) {
   FitSummary summary;
-  std::vector<float> divergence;
   std::vector<int> iterations;
   for (int64_t i = 0; i < map.profiles(); ++i) {
-    const auto reason = static_cast<FitReason>(map.reason[i]);
-    if (map.Fitted(i)) {
-      divergence.push_back(map.divergence[i]);
-      iterations.push_back(map.iterations[i]);
-      summary.weak_pixels += IsWeak(map, i, srds.batches[heldout].IsApart(i)) ? 1 : 0;
-    }
-    if (reason != FitReason::kFitted) ++summary.masked_by_reason[ToString(reason)];
+    if (!map.Fitted(i)) continue;
+    iterations.push_back(map.iterations[i]);
+    summary.weak_pixels += IsWeak(map, i, srds.batches[heldout].IsApart(i)) ? 1 : 0;
   }
-  summary.pixels = static_cast<int64_t>(divergence.size());
+  summary.masked_by_reason = MaskedByReason(map);
+  summary.pixels = static_cast<int64_t>(iterations.size());
   summary.tau = map.scattering.tau;
   summary.prior_photons = map.prior_photons;
   summary.reflection = map.scattering.reflection;
   summary.wide_weight_fraction = WideWeightFraction(map, MeanLineWidth(srds));
   summary.centroid = CompareCentroids(map, srds.batches[heldout]);
-  if (divergence.empty()) return summary;
-  summary.divergence = Median(divergence);
+  summary.divergence = MedianDivergence(map);
+  if (iterations.empty()) return summary;
   summary.iterations_median = Median(iterations);
   return summary;
 }

@@ -25,6 +25,11 @@ struct FitSummary {
   CentroidError centroid;  // of the held-out projector's SRDs
 };
 
+// Of what is fitted; 0: nothing.
+[[nodiscard]] double MedianDivergence(const MixtureMap& map);
+// Profiles that have any other reason than that they are fitted.
+[[nodiscard]] std::map<std::string, int64_t> MaskedByReason(const MixtureMap& map);
+
 [[nodiscard]] FitSummary Summarise(const MixtureMap& map, const SrdSet& srds, int heldout);
 
 Status SaveSummary(const std::filesystem::path& folder, const FitSummary& summary);  // summary.json

@@ -1,9 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/stages/maps.h"
 
-#include <algorithm>
-#include <cmath>
-
+#include "fitter/stages/fit_summary.h"
 #include "fitter/stages/layer_maps.h"
 #include "fitter/stages/stage_json.h"
 
@@ -11,16 +9,6 @@ namespace stratalux::fit {
 namespace {
 
 constexpr int kMapsSchema = 2;  // of maps.json
-
-double MedianDivergence(const MixtureMap& map) {
-  std::vector<float> values;
-  for (int64_t i = 0; i < map.profiles(); ++i)
-    if (map.Fitted(i)) values.push_back(map.divergence[i]);
-  if (values.empty()) return 0.0;
-  const auto middle = values.begin() + static_cast<int64_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 }  // namespace
 
@@ -36,11 +24,8 @@ Result<AllLayers> FitMaps(const SrdSet& srds, int heldout, const FitOptions& opt
   figures.provenance = ProvenanceOf(map, static_cast<int>(srds.batches.size()));
   figures.projectors = DistinctProjectors(map);
   figures.heldout = heldout;
-  for (int64_t i = 0; i < map.profiles(); ++i) {
-    const auto reason = static_cast<FitReason>(map.reason[i]);
-    figures.fitted += map.Fitted(i) ? 1 : 0;
-    if (reason != FitReason::kFitted) ++figures.masked_by_reason[ToString(reason)];
-  }
+  for (int64_t i = 0; i < map.profiles(); ++i) figures.fitted += map.Fitted(i) ? 1 : 0;
+  figures.masked_by_reason = MaskedByReason(map);
   figures.divergence = MedianDivergence(map);
   return made;
 }
