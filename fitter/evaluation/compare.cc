@@ -41,6 +41,16 @@ Image<uint8_t> FittedByAll(const std::vector<ComparedModel>& models, const std::
   return fitted;
 }
 
+// Direct light of the view's quads, as a reflectance; none where no pattern told any.
+std::optional<Image<float>> DirectOf(const CompareInput& in) {
+  const SeparationMap separation = OnView(in.view, in.separation);
+  Image<float> direct =
+      DirectReflectance(SinusoidsOf(in.view), in.view.shape.surface, in.view.shape.lit[in.view.projector], separation);
+  const auto values = direct.pixels();
+  if (std::none_of(values.begin(), values.end(), [](float v) { return std::isfinite(v); })) return std::nullopt;
+  return direct;
+}
+
 // What is skin, and what of it the light truly reaches: by the truth of a simulation, else by the mask of the skin
 // stage, and nothing is known of the light. A scene without any skin (a sphere of wax) is judged wherever the light
 // reaches it.
@@ -67,10 +77,10 @@ struct Masks {
   Image<uint8_t> judged, left_out;
 };
 
-// Judged: fitted skin that the light reaches. Left out: what was predicted and, as far as is known, is lit, and is not
-// judged.
-Masks MakeMasks(const CompareInput& in, const Image<uint8_t>& fitted, const JudgedSkin& judged_skin,
-                Coverage& coverage) {
+// Judged: fitted skin that the light reaches and whose direct light was told. Left out: what was predicted and, as far
+// as is known, is lit, and is not judged.
+Masks MakeMasks(const CompareInput& in, const Image<uint8_t>& fitted, const std::optional<Image<float>>& direct,
+                const JudgedSkin& judged_skin, Coverage& coverage) {
   const Image<uint8_t>& lit = in.view.shape.lit[in.view.projector];
   Masks masks{Image<uint8_t>(lit.width(), lit.height()), Image<uint8_t>(lit.width(), lit.height())};
   for (int j = 0; j < lit.height(); ++j)
@@ -78,10 +88,12 @@ Masks MakeMasks(const CompareInput& in, const Image<uint8_t>& fitted, const Judg
       const bool surface = in.view.shape.surface.mask(i, j) != 0, reached = lit(i, j) != 0, has_fit = fitted(i, j) != 0;
       const bool skin = judged_skin.skin(i, j) != 0;
       const bool shines = !judged_skin.is_true() || judged_skin.lit(i, j) != 0;
-      const bool judged = surface && reached && has_fit && skin && shines;
+      const bool could_be = surface && reached && has_fit && skin && shines;
+      const bool judged = could_be && (!direct || FiniteAt(*direct, i, j));
       masks.judged(i, j) = judged ? 1 : 0;
       masks.left_out(i, j) = surface && has_fit && shines && !judged ? 1 : 0;
       coverage.judged += judged ? 1 : 0;
+      coverage.not_separated += could_be && !judged ? 1 : 0;
       coverage.not_skin += surface && reached && has_fit && !skin ? 1 : 0;
       coverage.in_shadow += surface && reached && has_fit && skin && !shines ? 1 : 0;
       if (!(skin && shines)) continue;
@@ -156,26 +168,26 @@ struct JudgedLight {
   std::string name;
   Target target;
   const Image<float>* irradiance = nullptr;     // of the view
-  Image<float> direct;                          // separated, under the pattern
+  std::optional<Image<float>> direct;           // separated, under the pattern
   std::optional<Image<float>> true_subsurface;  // where there is truth
   double noise_nrmse = 0.0, camera_noise_nrmse = 0.0;
 
-  // Less the model's own share of it.
+  // Less the model's own share of it. Only where there is any.
   [[nodiscard]] Image<float> Remaining(const Prediction& p) const {
-    return Difference(direct, p.DirectLight(name, *irradiance));
+    return Difference(*direct, p.DirectLight(name, *irradiance));
   }
   [[nodiscard]] Image<float> Predicted(const Prediction& p) const {
     return Sum(p.subsurface.at(name), p.SurfaceLight(name, *irradiance));
   }
 };
 
-Result<JudgedLight> ReadLight(const CompareInput& in, size_t light, const Image<float>& direct_reflectance,
-                              const Image<uint8_t>& mask) {
+Result<JudgedLight> ReadLight(const CompareInput& in, size_t light,
+                              const std::optional<Image<float>>& direct_reflectance, const Image<uint8_t>& mask) {
   JudgedLight judged;
   judged.name = in.view.lights[light];
   SLX_ASSIGN_OR_RETURN(judged.target, ReadTarget(in, judged.name));
   judged.irradiance = &in.view.irradiance[light];
-  judged.direct = ReflectedLight(direct_reflectance, *judged.irradiance);
+  if (direct_reflectance) judged.direct = ReflectedLight(*direct_reflectance, *judged.irradiance);
   judged.noise_nrmse = NoiseOfTakes(judged.target, mask);
   judged.camera_noise_nrmse = NoiseFloor(judged.target.light, judged.target.variance, mask);
   if (in.truth && in.view.home.empty()) {  // it is that of the head where it was at first
@@ -196,25 +208,26 @@ std::vector<HeldOutFigure> FiguresOf(const CompareInput& in, const ComparedModel
                        CompareImages(real, estimate, mask), noisy ? light.noise_nrmse : 0.0,
                        noisy ? light.camera_noise_nrmse : 0.0});
   };
+  add("total", "predicted", captured, light.Predicted(p), true);
+  if (light.true_subsurface) add("subsurface", "truth", *light.true_subsurface, subsurface, false);
+  if (!light.direct) return figures;
   const Image<float> remaining = light.Remaining(p);
   add("total", "separated", captured, Sum(subsurface, remaining), true);
-  add("total", "predicted", captured, light.Predicted(p), true);
-  if (light.true_subsurface)
-    add("subsurface", "truth", *light.true_subsurface, subsurface, false);
-  else
-    add("subsurface", "separated", Difference(captured, remaining), subsurface, true);
+  if (!light.true_subsurface) add("subsurface", "separated", Difference(captured, remaining), subsurface, true);
   return figures;
 }
 
 // What the report shows, of the first model and of homogeneous layers.
 LightComparison PicturesOf(const JudgedLight& light, const std::vector<ComparedModel>& models) {
   const Prediction& first = models.front().prediction;
-  LightComparison pictures{light.name, light.target.light, light.Remaining(first), first.subsurface.at(light.name), {},
-                           {}};
+  const auto surface_of = [&](const Prediction& p) {
+    return light.direct ? light.Remaining(p) : p.SurfaceLight(light.name, *light.irradiance);
+  };
+  LightComparison pictures{light.name, light.target.light, surface_of(first), first.subsurface.at(light.name), {}, {}};
   pictures.total = Sum(pictures.subsurface, pictures.direct);
   for (const ComparedModel& model : models)
     if (model.name == "homogeneous")
-      pictures.total_homogeneous = Sum(model.prediction.subsurface.at(light.name), light.Remaining(model.prediction));
+      pictures.total_homogeneous = Sum(model.prediction.subsurface.at(light.name), surface_of(model.prediction));
   return pictures;
 }
 
@@ -226,17 +239,16 @@ Result<Comparison> CompareHeldOut(const CompareInput& in, const std::vector<Comp
   Comparison comparison;
   SLX_ASSIGN_OR_RETURN(const auto skin, ReadSkin(in));
   const Image<uint8_t> fitted = FittedByAll(models, view.lights.front(), surface.width(), surface.height());
-  const Masks masks = MakeMasks(in, fitted, skin, comparison.coverage);
+  const std::optional<Image<float>> direct = DirectOf(in);
+  const Masks masks = MakeMasks(in, fitted, direct, skin, comparison.coverage);
   comparison.coverage.skin_by = skin.is_true() ? "truth" : in.skin.told ? "mask" : "none";
   comparison.coverage.projector = in.view.projector;
   comparison.coverage.geometry = in.geometry;
   comparison.errors = {in.view.projector, view.lights, in.separation.direct.channels(), {}};
-  const Image<float> direct_reflectance =
-      DirectReflectance({view.rig, view.projector, view.exposure_ms, view.separation_period}, surface, in.separation);
   const size_t lights = view.lights.size();
   std::vector<JudgedLight> judged(lights);  // frames and truth are thread-bound
   for (size_t k = 0; k < lights; ++k) {
-    SLX_ASSIGN_OR_RETURN(judged[k], ReadLight(in, k, direct_reflectance, masks.judged));
+    SLX_ASSIGN_OR_RETURN(judged[k], ReadLight(in, k, direct, masks.judged));
   }
   std::vector<std::vector<HeldOutFigure>> figures(lights * models.size());
   ParallelEach(figures.size(), [&](size_t i) {

@@ -18,7 +18,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kCompareVersion = 12;
+inline constexpr int kCompareVersion = 13;
 
 struct ComparedModel {
   std::string name;  // the first one is the fit that is judged
@@ -28,7 +28,7 @@ struct ComparedModel {
 struct CompareInput {
   const SessionFrames& frames;  // read by the view's record
   const HeldOutView& view;
-  const SeparationMap& separation;  // of the projector
+  const SeparationMap& separation;  // of the projector, as captured
   const std::optional<SceneTruth>& truth;
   const SkinMask& skin;  // on the shape's quads: what is judged where the truth does not say what is skin
   int pool = 1;
@@ -37,9 +37,9 @@ struct CompareInput {
 
 // What the report shows of one light; quads, digital numbers above black.
 struct LightComparison {
-  std::string light;               // stripe | white | spot
-  Image<float> measured;           // mean of the takes
-  Image<float> direct;             // separated direct light under the pattern, less the first model's share of it
+  std::string light;      // stripe | white | spot
+  Image<float> measured;  // mean of the takes
+  Image<float> direct;    // separated direct light under the pattern, less the first model's share of it; none: its own
   Image<float> subsurface;         // of the first model
   Image<float> total;              // subsurface + direct
   Image<float> total_homogeneous;  // of the model of that name; empty where it is none of them

@@ -91,18 +91,20 @@ void ForEachQuad(const SurfaceMap& surface, const std::function<void(int i, int 
 
 }  // namespace
 
-Image<float> DirectReflectance(const HeldOutLight& light, const SurfaceMap& surface, const SeparationMap& separation) {
+Image<float> DirectReflectance(const HeldOutLight& light, const SurfaceMap& surface, ImageView<const uint8_t> lit,
+                               const SeparationMap& separation) {
   const int channels = separation.direct.channels();
   Image<float> direct(surface.width(), surface.height(), channels, std::nanf("")), variance = direct;
   ForEachQuad(surface, [&](int i, int j) {
-    const auto quad = LookAt(light, surface, i, j);
+    const auto quad = lit(i, j) != 0 ? LookAt(light, surface, i, j) : std::nullopt;
     if (!quad) return;
     for (int c = 0; c < channels; ++c) {
       const double white_dn = GeometryOf(light, surface, i, j, c, PatternAxis::kColumns).white_dn;
       if (!(white_dn > 0.0)) continue;
       const double scale = 2.0 / (white_dn * (quad->surface[0] + quad->surface[1]));
-      direct(i, j, c) = static_cast<float>(separation.direct(i, j, c) * scale);
-      variance(i, j, c) = static_cast<float>(separation.direct_variance(i, j, c) * scale * scale);
+      const bool told = std::isfinite(separation.direct(i, j, c));
+      direct(i, j, c) = told ? static_cast<float>(separation.direct(i, j, c) * scale) : 0.0F;
+      variance(i, j, c) = told ? static_cast<float>(separation.direct_variance(i, j, c) * scale * scale) : INFINITY;
     }
   });
   return ShrinkNoise(direct, variance, kReach);

@@ -8,6 +8,7 @@
 // counts nothing twice, and is the same definition for every model.
 #pragma once
 
+#include "fitter/evaluation/heldout_view.h"
 #include "fitter/mixture/mixture_map.h"
 #include "fitter/reconstruction/surface_map.h"
 #include "fitter/separation/separation_map.h"
@@ -22,10 +23,16 @@ struct HeldOutLight {
   double separation_period = 8.0;  // px, of the sinusoids
 };
 
-// As a reflectance of the very surface, W x H x C on quads; NaN where unknown. Noise of the direct image is shrunk
-// towards the neighbours.
+[[nodiscard]] inline HeldOutLight SinusoidsOf(const HeldOutView& view) {
+  return {view.separation_rig, view.projector, view.exposure_ms, view.separation_period};
+}
+
+// As a reflectance of the very surface, W x H x C on quads; NaN where unknown, and where the projector does not reach
+// it
+// (`lit`). Noise of the direct image is shrunk towards the neighbours; a quad whose sinusoids tell nothing (saturated,
+// negative) has their mean.
 [[nodiscard]] Image<float> DirectReflectance(const HeldOutLight& light, const SurfaceMap& surface,
-                                             const SeparationMap& separation);
+                                             ImageView<const uint8_t> lit, const SeparationMap& separation);
 // The share of it of the model's layers beside a surface of `reflectance` (W x H x C), in the same unit; NaN where
 // nothing was fitted.
 [[nodiscard]] Image<float> DirectShare(const HeldOutLight& light, const SurfaceMap& surface, const MixtureMap& map,

@@ -12,11 +12,15 @@ namespace stratalux::fit {
 
 namespace {
 
-void MoveTo(const Rigid3& pose, HeldOutView& view) {
+void MoveTo(const ProjectorMoments& moments, const HeadMotion& head, HeldOutView& view) {
+  const Rigid3 pose = head.At(moments.sweep_s);
   auto moved = MoveSurface(view.shape.surface, view.rig.camera, [&](const Eigen::Vector3d&) { return pose; });
   view.shape.surface = std::move(moved.surface);
   for (Image<uint8_t>& lit : view.shape.lit) lit = Carried(lit, moved.home);
   view.home = std::move(moved.home);
+  view.to_separation = head.At(moments.separation_s) * pose.Inverse();
+  Rigid3& place = view.separation_rig.projectors[static_cast<size_t>(view.projector)].camera_from_projector;
+  place = view.to_separation.Inverse() * place;
 }
 
 }  // namespace
@@ -26,8 +30,9 @@ HeldOutView ViewOf(FaceShape shape, const PlanOptions& plan, int projector, cons
   view.shape = std::move(shape);
   view.rig = LinearRig(view.shape.record);
   view.projector = projector;
+  view.separation_rig = view.rig;
   if (const FaceMotion& motion = view.shape.motion; motion.moved())
-    MoveTo(motion.head.At(motion.projectors[static_cast<size_t>(projector)].sweep_s), view);
+    MoveTo(motion.projectors[static_cast<size_t>(projector)], motion.head, view);
   view.exposure_ms = plan.exposure_ms;
   view.separation_period = double(plan.separation_period);
   view.lights = lights;
@@ -43,6 +48,12 @@ HeldOutView ViewOf(FaceShape shape, const PlanOptions& plan, int projector, cons
 
 Image<uint8_t> OnView(const HeldOutView& view, const Image<uint8_t>& mask) {
   return view.home.empty() ? mask : Carried(mask, view.home);
+}
+
+SeparationMap OnView(const HeldOutView& view, const SeparationMap& separation) {
+  if (view.home.empty()) return separation;
+  return Carried(separation, PlacesNow(view.shape.surface, view.rig.camera,
+                                       [&](const Eigen::Vector3d&) { return view.to_separation; }));
 }
 
 std::vector<int64_t> ProfilesOnView(const HeldOutView& view, int pool, int channels) {

@@ -7,8 +7,10 @@
 #include <vector>
 
 #include "fitter/render/lit_surface.h"
+#include "fitter/separation/separation_map.h"
 #include "fitter/stages/shape.h"
 #include "shared/capture/plan.h"
+#include "shared/geometry/rigid3.h"
 
 namespace stratalux::fit {
 
@@ -18,6 +20,9 @@ struct HeldOutView {
   RigCalibration rig;  // the record's, linear (LinearRig)
   int projector = 0;
   double exposure_ms = 0.0, separation_period = 8.0;  // of the plan
+  // Of a head that moved: view to the moment of the projector's sinusoids, and the rig as it then stood to the head.
+  Rigid3 to_separation;
+  RigCalibration separation_rig;
   std::vector<std::string> lights;
   LitSurface lit;
   std::vector<LitPyramid> pyramids;      // of each light's pattern, less the projector's black
@@ -31,6 +36,8 @@ struct HeldOutView {
 
 // Of a mask on the shape's quads, on the view's.
 [[nodiscard]] Image<uint8_t> OnView(const HeldOutView& view, const Image<uint8_t>& mask);
+// Of what was separated of the projector's light (where it was captured), on the view's.
+[[nodiscard]] SeparationMap OnView(const HeldOutView& view, const SeparationMap& separation);
 // By profile of the view: which one of the shape's it is, -1: none; empty: its own.
 [[nodiscard]] std::vector<int64_t> ProfilesOnView(const HeldOutView& view, int pool, int channels);
 

@@ -120,11 +120,17 @@ void from_json(const nlohmann::json& json, HeldOutFigure& f) {
 }
 
 void to_json(nlohmann::ordered_json& json, const Coverage& c) {
-  json = {{"projector", c.projector},   {"geometry", c.geometry},
-          {"lit_skin", c.lit_skin},     {"judged", c.judged},
-          {"no_surface", c.no_surface}, {"unlit", c.unlit},
-          {"not_fitted", c.not_fitted}, {"not_skin", c.not_skin},
-          {"in_shadow", c.in_shadow},   {"left_out_nrmse", c.left_out_nrmse},
+  json = {{"projector", c.projector},
+          {"geometry", c.geometry},
+          {"lit_skin", c.lit_skin},
+          {"judged", c.judged},
+          {"no_surface", c.no_surface},
+          {"unlit", c.unlit},
+          {"not_fitted", c.not_fitted},
+          {"not_skin", c.not_skin},
+          {"in_shadow", c.in_shadow},
+          {"not_separated", c.not_separated},
+          {"left_out_nrmse", c.left_out_nrmse},
           {"skin_by", c.skin_by}};
 }
 
@@ -138,6 +144,7 @@ void from_json(const nlohmann::json& json, Coverage& c) {
   json.at("not_fitted").get_to(c.not_fitted);
   json.at("not_skin").get_to(c.not_skin);
   json.at("in_shadow").get_to(c.in_shadow);
+  c.not_separated = json.value("not_separated", int64_t{0});
   for (const auto& [light, error] : json.at("left_out_nrmse").items()) c.left_out_nrmse[light] = FigureOf(error);
   json.at("skin_by").get_to(c.skin_by);
 }

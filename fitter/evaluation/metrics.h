@@ -50,8 +50,9 @@ struct Coverage {
   int64_t judged = 0;
   // Not judged, because ...
   int64_t no_surface = 0, unlit = 0, not_fitted = 0;
-  // Fitted and taken for lit, but not judged: hair, eyes or anything else; skin that the light does not truly reach.
-  int64_t not_skin = 0, in_shadow = 0;
+  // Fitted and taken for lit, but not judged: hair, eyes or anything else; skin that the light does not truly reach;
+  // skin whose direct light its sinusoids did not tell (SeparationReason), where they told any.
+  int64_t not_skin = 0, in_shadow = 0, not_separated = 0;
   // Of the judged fit, total, over what it predicts and is not judged; by light.
   std::map<std::string, double> left_out_nrmse;
   // Who says what is skin: truth, the mask of the skin stage, or none (all of the surface is).

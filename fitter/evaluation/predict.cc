@@ -52,8 +52,7 @@ Prediction Predict(const MixtureMap& of_shape, int pool, const HeldOutView& view
   const SurfaceMap& surface = view.shape.surface;
   Prediction prediction;
   prediction.reflectance = SurfaceReflectance(map, surface, view.lit.light, pool);
-  prediction.direct_share = DirectShare({view.rig, view.projector, view.exposure_ms, view.separation_period}, surface,
-                                        map, prediction.reflectance, pool);
+  prediction.direct_share = DirectShare(SinusoidsOf(view), surface, map, prediction.reflectance, pool);
   std::vector<Image<float>> subsurface = RenderSubsurface(map, surface, view.rig, view.lit, view.pyramids, {pool});
   for (size_t k = 0; k < view.lights.size(); ++k) {
     MarkUnfitted(map, surface, pool, std::array{&subsurface[k]});

@@ -80,7 +80,7 @@ ReportTable CoverageTable(const Metrics& m) {
       "surface, and skin is what the skin stage found. Left out: NRMSE of the fit (total) over what it predicts and is "
       "not judged",
       {"projector", "geometry", "lit skin", "judged", "no surface", "unlit", "not fitted", "not skin", "in shadow",
-       "left out"},
+       "not separated", "left out"},
       {}};
   for (const Coverage& c : m.coverage) {
     std::string left_out;
@@ -90,7 +90,8 @@ ReportTable CoverageTable(const Metrics& m) {
     table.rows.push_back({std::to_string(c.projector), c.geometry, c.lit_skin > 0 ? std::to_string(c.lit_skin) : "",
                           std::to_string(c.judged) + (c.lit_skin > 0 ? " (" + Fixed(share, 1) + " %)" : ""),
                           std::to_string(c.no_surface), std::to_string(c.unlit), std::to_string(c.not_fitted),
-                          std::to_string(c.not_skin), std::to_string(c.in_shadow), left_out});
+                          std::to_string(c.not_skin), std::to_string(c.in_shadow), std::to_string(c.not_separated),
+                          left_out});
   }
   return table;
 }

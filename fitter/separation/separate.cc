@@ -106,9 +106,10 @@ class QuadSeparator {
     map.reason(i, j) = static_cast<uint8_t>(reason);
     for (int c = 0; c < channels; ++c) {
       if (!sum[c].saturated) map.white(i, j, c) = static_cast<float>(sum[c].total / sites[c]);
-      if (reason != SeparationReason::kValid) continue;
+      if (reason != SeparationReason::kValid && reason != SeparationReason::kUnlit) continue;
       map.direct(i, j, c) = static_cast<float>(sum[c].direct / sites[c]);
       map.direct_variance(i, j, c) = static_cast<float>(sum[c].direct_variance / (sites[c] * sites[c]));
+      if (reason == SeparationReason::kUnlit) continue;
       map.global(i, j, c) = static_cast<float>((sum[c].total - sum[c].direct) / sites[c]);
     }
   }
@@ -164,6 +165,15 @@ const char* ToString(SeparationReason reason) {
   constexpr std::array<const char*, kSeparationReasons> kNames = {"valid", "unlit", "saturated", "negative",
                                                                   "not told"};
   return kNames[static_cast<size_t>(reason)];
+}
+
+Image<float> ValidDirect(const SeparationMap& map) {
+  Image<float> direct = map.direct;
+  for (int j = 0; j < direct.height(); ++j)
+    for (int i = 0; i < direct.width(); ++i)
+      if (map.reason(i, j) != static_cast<uint8_t>(SeparationReason::kValid))
+        for (int c = 0; c < direct.channels(); ++c) direct(i, j, c) = std::nanf("");
+  return direct;
 }
 
 Status SeparationOptions::Validate() const {

@@ -21,8 +21,10 @@ float Shrunk(const Image<float>& values, const Image<float>& variance, int x, in
       noise += n;
       count += 1.0;
     }
-  if (count < 2.0) return values(x, y, c);
+  const bool known = std::isfinite(variance(x, y, c));
+  if (count < 2.0) return known ? values(x, y, c) : std::nanf("");
   const double mean = sum / count;
+  if (!known) return static_cast<float>(mean);
   const double signal = std::max((squares - sum * mean) / (count - 1.0) - noise / count, 0.0);
   const double all = signal + variance(x, y, c);
   return static_cast<float>(mean + (all > 0.0 ? signal / all : 1.0) * (values(x, y, c) - mean));
@@ -37,7 +39,7 @@ Image<float> ShrinkNoise(const Image<float>& values, const Image<float>& varianc
     for (int y = static_cast<int>(begin); y < end; ++y)
       for (int x = 0; x < values.width(); ++x)
         for (int c = 0; c < values.channels(); ++c)
-          if (std::isfinite(values(x, y, c)) && std::isfinite(variance(x, y, c)))
+          if (std::isfinite(values(x, y, c)) && !std::isnan(variance(x, y, c)))
             out(x, y, c) = Shrunk(values, variance, x, y, c, reach);
   });
   return out;

@@ -148,7 +148,8 @@ void SrdExtractor::PrepareProfile(int64_t profile, const SrdGeometry& g) {
   batch_.slope_out_across[profile] = static_cast<float>(g.slope_out_across);
   batch_.cos_in[profile] = static_cast<float>(g.cos_in);
   batch_.cos_out[profile] = static_cast<float>(g.cos_out);
-  white_dn_[profile] = static_cast<float>(g.white_dn);
+  // A frame less its black one: the projector's own black is in both.
+  white_dn_[profile] = static_cast<float>(g.white_dn * (1.0 - rig_.projectors[projector_].black_level));
   if (!column_.empty()) column_[profile] = static_cast<float>(g.column);
   if (!along_.empty()) {
     along_[profile] = g.across_line.cast<float>();

@@ -16,10 +16,11 @@ Result<FaceNormals> EstimateFaceNormals(std::span<const SeparationMap> separatio
     return Status::Usage("normals: " + std::to_string(separation.size()) + " separations for " +
                          std::to_string(rig.projectors.size()) + " projectors; needs one each");
   if (!(exposure_ms > 0.0)) return Status::Usage("normals: the exposure must be positive");
+  std::vector<Image<float>> direct;
+  for (const SeparationMap& map : separation) direct.push_back(ValidDirect(map));
   std::vector<LitImage> images;
   for (size_t p = 0; p < separation.size(); ++p)
-    images.push_back(
-        {LightOfProjector(rig.projectors[p], exposure_ms), separation[p].direct, separation[p].direct_variance});
+    images.push_back({LightOfProjector(rig.projectors[p], exposure_ms), direct[p], separation[p].direct_variance});
   FaceNormals normals;
   SLX_ASSIGN_OR_RETURN(normals.photometric, EstimateNormals(images, surface));
   SLX_ASSIGN_OR_RETURN(normals.fused, FuseNormals(surface, normals.photometric));

@@ -14,7 +14,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kSrdVersion = 8;
+inline constexpr int kSrdVersion = 9;
 
 // What became of one projector's sweep along one axis.
 struct SweepFigure {

@@ -227,7 +227,8 @@ TEST_F(Visitor, CoverageIsStatedAndOneMaskJudgesAllModels) {
   ASSERT_EQ(metrics_["coverage"].size(), 5U);  // four projectors, and the true surface
   for (const Json& c : metrics_["coverage"]) {
     const auto of = [&](const char* what) { return c[what].get<int64_t>(); };
-    EXPECT_EQ(of("lit_skin"), of("judged") + of("no_surface") + of("unlit") + of("not_fitted")) << c;
+    EXPECT_EQ(of("lit_skin"), of("judged") + of("no_surface") + of("unlit") + of("not_fitted") + of("not_separated"))
+        << c;
     EXPECT_GT(of("judged"), of("lit_skin") / 2) << c;
   }
   std::map<std::string, int64_t> pixels;

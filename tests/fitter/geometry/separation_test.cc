@@ -165,6 +165,11 @@ TEST(Separate, MasksInsteadOfClipping) {
   const auto d = SeparateSinusoids(Shots(dark).Views(), Cfa::kRggb, kNoise);
   EXPECT_EQ(d->counts[static_cast<int>(SeparationReason::kUnlit)], kWidth / 2 * kHeight / 2);
 
+  // Kept with its noise, but no valid direct light.
+  EXPECT_NEAR(d->map.direct(3, 3, 0), 1.0, 4.0 * std::sqrt(d->map.direct_variance(3, 3, 0)));
+  EXPECT_TRUE(std::isnan(d->map.global(3, 3, 0)));
+  EXPECT_TRUE(std::isnan(ValidDirect(d->map)(3, 3, 0)));
+
   const Mixture bright{.direct = {4000, 100, 100}};
   const auto b = SeparateSinusoids(Shots(bright).Views(), Cfa::kRggb, kNoise);
   EXPECT_EQ(b->counts[static_cast<int>(SeparationReason::kSaturated)], kWidth / 2 * kHeight / 2);
@@ -214,6 +219,17 @@ TEST(ShrinkNoise, WithoutNoiseIsTheImage) {
   std::fill(disc.variance.pixels().begin(), disc.variance.pixels().end(), 0.0F);
   const Image<float> same = ShrinkNoise(disc.noisy, disc.variance, 3);
   for (size_t k = 0; k < same.size(); ++k) EXPECT_NEAR(same.pixels()[k], disc.noisy.pixels()[k], 1e-5);
+}
+
+TEST(ShrinkNoise, WhatIsNotMeasuredBecomesItsNeighboursMean) {
+  NoisyDisc disc(0.0F);
+  disc.noisy(20, 20) = 50.0F;  // says nothing
+  disc.variance(20, 20) = INFINITY;
+  const Image<float> quiet = ShrinkNoise(disc.noisy, disc.variance, 3);
+  EXPECT_NEAR(quiet(20, 20), 1.0, 0.06);
+  EXPECT_NEAR(quiet(21, 20), 1.0, 0.15) << "it has a part in no other";
+  const Image<float> all(64, 64, 1, INFINITY);
+  EXPECT_TRUE(std::isnan(ShrinkNoise(disc.noisy, all, 3)(20, 20)));
 }
 
 TEST(ShrinkNoise, UnknownPixelsStayUnknownAndSpoilNoOther) {

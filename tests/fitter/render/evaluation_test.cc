@@ -328,7 +328,7 @@ TEST(Metrics, WritesSchemaTwo) {
                        0.031});
   m.ablations.push_back(m.heldout[0]);
   m.ablations[0].model = "projectors_permuted";
-  m.coverage.push_back({3, "reconstructed", 100, 80, 5, 10, 5, 2, 1, {{"stripe", 0.2}}, "mask"});
+  m.coverage.push_back({3, "reconstructed", 100, 77, 5, 10, 5, 2, 1, 3, {{"stripe", 0.2}}, "mask"});
   m.skin = {100, 90, true, {{"unlit", 4}}, {}};
   m.evaluation = "full";
   m.stages.push_back({"decode", 1.5, 2.5, 1 << 20});
@@ -362,6 +362,7 @@ TEST(Metrics, WritesSchemaTwo) {
   EXPECT_EQ(json["coverage"][0]["left_out_nrmse"]["stripe"], 0.2);
   EXPECT_EQ(json["coverage"][0]["skin_by"], "mask");
   EXPECT_EQ(json["coverage"][0].get<Coverage>().skin_by, "mask");
+  EXPECT_EQ(json["coverage"][0].get<Coverage>().not_separated, 3);
   EXPECT_EQ(json["skin"]["surface_by_reason"]["unlit"], 4);
   EXPECT_EQ(json["skin"]["truth"]["iou"], 0.8);
   EXPECT_EQ(json["fit"]["masked_by_reason"]["too dark"], 7);
@@ -460,6 +461,62 @@ TEST(Predict, WhatWasNotFittedIsUnknownInThatColourAlone) {
                 << light << " " << i << " " << j << " " << c;
           }
   }
+}
+
+// A head that moves to the side: what its sinusoids saw lies elsewhere than what its sweep does.
+TEST(HeldOutView, CarriesWhatWasSeparatedToTheSweepsMoment) {
+  const LitScene scene = MakeScene(FaceLike(), {-350.0, 0.0, 150.0}, Cfa::kRggb);
+  FaceShape shape;
+  shape.record = scene.rig;
+  shape.surface = scene.surface;
+  shape.surface.depth_sigma_mm = Image<float>(scene.surface.width(), scene.surface.height(), 1, 0.05F);
+  shape.lit = {scene.surface.mask};
+  HeadMotion& head = shape.motion.head;
+  head.moved = true;
+  const Eigen::Vector3d shift_mm(6.0, -2.0, 0.0);
+  head.poses = {{0.0, {}}, {10.0, {Eigen::Vector3d::Zero(), shift_mm}}};
+  shape.motion.projectors = {{.codes_s = 0.0, .separation_s = 2.0, .sweep_s = 8.0}};
+  // Of the point of the head, wherever it is.
+  const auto direct_at = [](const Eigen::Vector3d& at_reference) {
+    return 100.0 + 2.0 * at_reference.x() + at_reference.y();
+  };
+  const SurfaceMap& surface = shape.surface;
+  SeparationMap seen{Image<float>(surface.width(), surface.height(), 3, std::nanf("")),
+                     {},
+                     {},
+                     {},
+                     Image<uint8_t>(surface.width(), surface.height())};
+  seen.global = seen.direct_variance = seen.white = seen.direct;
+  const auto then = MoveSurface(surface, scene.rig.camera, [&](const Eigen::Vector3d&) {
+    return Rigid3{Eigen::Quaterniond::Identity(), 0.2 * shift_mm};
+  });
+  const auto fill = [&](const SurfaceMap& moved, const Eigen::Vector3d& by, const auto& visit) {
+    for (int j = 0; j < surface.height(); ++j)
+      for (int i = 0; i < surface.width(); ++i)
+        if (moved.mask(i, j) != 0) visit(i, j, moved.Point(i, j) - by);
+  };
+  fill(then.surface, 0.2 * shift_mm, [&](int i, int j, const Eigen::Vector3d& at_reference) {
+    for (int c = 0; c < 3; ++c) {
+      seen.direct(i, j, c) = static_cast<float>(direct_at(at_reference));
+      seen.direct_variance(i, j, c) = 1.0F;
+    }
+  });
+  const HeldOutView view = ViewOf(shape, PlanOptions(), 0, {"stripe"});
+  const SeparationMap carried = OnView(view, seen);
+  int judged = 0;
+  double off = 0.0, left = 0.0;
+  fill(view.shape.surface, 0.8 * shift_mm, [&](int i, int j, const Eigen::Vector3d& at_reference) {
+    if (!std::isfinite(carried.direct(i, j, 0)) || !std::isfinite(seen.direct(i, j, 0))) return;
+    off += std::abs(carried.direct(i, j, 0) - direct_at(at_reference));
+    left += std::abs(seen.direct(i, j, 0) - direct_at(at_reference));
+    ++judged;
+  });
+  ASSERT_GT(judged, 500);
+  EXPECT_LT(off / judged, 0.1);   // a twentieth of a millimetre
+  EXPECT_GT(left / judged, 3.0);  // as it was captured: 0.6 of the way
+  // The light stands to the view's head as it stood to the head then.
+  const Eigen::Vector3d lamp = view.separation_rig.projectors[0].CentreInCamera();
+  EXPECT_NEAR((lamp - scene.rig.projectors[0].CentreInCamera() - 0.6 * shift_mm).norm(), 0.0, 1e-9);
 }
 
 }  // namespace

@@ -32,7 +32,8 @@ Image<uint16_t> OpaqueFrame(const RigCalibration& rig, const SurfaceMap& s, cons
         lit += std::max(0.0, std::min(high, c + blur_columns / 2) - std::max(low, c - blur_columns / 2));
       }
       const int colour = CfaColour(Cfa::kRggb, x, y);
-      const double white = rig.projectors[0].WhiteTargetDn(point, n, colour, cycle.exposure_ms);
+      const double white = rig.projectors[0].WhiteTargetDn(point, n, colour, cycle.exposure_ms) *
+                           (1.0 - rig.projectors[0].black_level);  // less the black frame
       frame(x, y) = static_cast<uint16_t>(std::lround(64 + albedo[colour] * white * lit / blur_columns));
     }
   return frame;
@@ -69,15 +70,18 @@ double Centroid(const SrdBatch& b, int64_t profile) {
 }
 
 TEST(SrdExtractor, CycleAddsUpToTheWhiteReflectance) {
-  const RigCalibration rig = SmallRig();
-  const SurfaceMap plane = Plane(rig, 0.3);
-  const SrdBatch batch = Extract(rig, plane, Cycle(), {});
-  const double albedo[3] = {0.6, 0.4, 0.3};
-  for (int64_t i = 0; i < batch.profiles(); ++i) {
-    ASSERT_EQ(batch.valid[i], 1);
-    double sum = 0.0;
-    for (int k = 0; k < batch.samples; ++k) sum += batch.Samples(i)[k];
-    EXPECT_NEAR(sum, albedo[i % 3], 2e-3) << "profile " << i;  // rounding to digital numbers
+  for (const double black_level : {0.0, 0.2}) {  // of the projector: the black frame holds as much of the light
+    RigCalibration rig = SmallRig();
+    rig.projectors[0].black_level = black_level;
+    const SurfaceMap plane = Plane(rig, 0.3);
+    const SrdBatch batch = Extract(rig, plane, Cycle(), {});
+    const double albedo[3] = {0.6, 0.4, 0.3};
+    for (int64_t i = 0; i < batch.profiles(); ++i) {
+      ASSERT_EQ(batch.valid[i], 1);
+      double sum = 0.0;
+      for (int k = 0; k < batch.samples; ++k) sum += batch.Samples(i)[k];
+      EXPECT_NEAR(sum, albedo[i % 3], 2e-3) << "profile " << i << " " << black_level;  // rounding to digital numbers
+    }
   }
 }
 
