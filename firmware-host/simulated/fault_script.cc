@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <charconv>
+#include <cmath>
 #include <string_view>
 
 #include "shared/config/toml_reader.h"
@@ -18,6 +19,8 @@ constexpr std::array<std::string_view, kFaultKinds> kNames = {
     "sync_stuck",    "projector_lag", "projector_skip", "lines_gone",     "emergency_stop", "door_open"};
 
 constexpr int kLongestBurst = 1000;
+constexpr int kMostNumber = 1 << 30;  // of exposures and pulses
+constexpr double kMostValue = 1e6;
 
 std::string Names() {
   std::string list;
@@ -57,15 +60,17 @@ Result<Fault> ParseFault(const std::string& text) {
   std::string_view rest = at == std::string_view::npos ? std::string_view() : all.substr(at + 1);
   bool sound = !rest.empty();
   if (const size_t equals = rest.find('='); equals != std::string_view::npos) {
-    sound = sound && ParseWhole(rest.substr(equals + 1), fault.value);
+    sound = sound && ParseWhole(rest.substr(equals + 1), fault.value) && std::abs(fault.value) <= kMostValue;
     rest = rest.substr(0, equals);
   }
   if (const size_t times = rest.find('x'); times != std::string_view::npos) {
-    sound = sound && ParseWhole(rest.substr(times + 1), fault.count) && fault.count > 0;
+    sound = sound && ParseWhole(rest.substr(times + 1), fault.count) && fault.count > 0 && fault.count <= kMostNumber;
     rest = rest.substr(0, times);
   }
-  if (!sound || !ParseWhole(rest, fault.at) || fault.at < 0)
-    return Status::Usage("fault '" + text + "': expected KIND@NUMBER[xCOUNT][=VALUE], such as frame_lost@17");
+  if (!sound || !ParseWhole(rest, fault.at) || fault.at < 0 || fault.at > kMostNumber)
+    return Status::Usage("fault '" + text +
+                         "': expected KIND@NUMBER[xCOUNT][=VALUE], such as frame_lost@17; numbers up to 2^30, values "
+                         "up to 1e6");
   return fault;
 }
 
@@ -78,9 +83,9 @@ Result<FaultOptions> ReadFaults(TomlTable& root) {
     std::string kind = ToString(fault.kind);
     int at = 0, count = 1;
     table.Get("kind", kind);
-    table.Get("at", at, 0, 1 << 30);
-    table.Get("count", count, 1, 1 << 30);
-    table.Get("value", fault.value, -1e6, 1e6);
+    table.Get("at", at, 0, kMostNumber);
+    table.Get("count", count, 1, kMostNumber);
+    table.Get("value", fault.value, -kMostValue, kMostValue);
     if (table.Has("along")) {
       std::vector<double> along;
       table.Get("along", along, -1e6, 1e6);
@@ -128,7 +133,7 @@ bool FaultScript::InBurst(int64_t number, Where where) const {
 std::vector<Fault> FaultScript::At(int64_t number, Where where) const {
   std::vector<Fault> faults;
   for (const Fault& f : options_.script)
-    if (IsLineFault(f.kind) == (where == Where::kPulse) && number >= f.at && number < f.at + f.count)
+    if (IsLineFault(f.kind) == (where == Where::kPulse) && number >= f.at && number - f.at < f.count)
       faults.push_back(f);
   if (options_.rate <= 0.0) return faults;
   std::vector<FaultKind> kinds = options_.kinds.empty() ? Survivable() : options_.kinds;

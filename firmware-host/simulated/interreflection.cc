@@ -4,6 +4,7 @@
 #include <cmath>
 #include <numbers>
 
+#include "firmware-host/simulated/projected_light.h"
 #include "shared/base/parallel.h"
 
 namespace stratalux::rig {
@@ -18,8 +19,8 @@ constexpr double kDepthStepMm = 12.0;                  // receivers further in d
 }  // namespace
 
 Interreflection::Interreflection(const Scene& scene, const SkinAlbedo& albedo, const RigCalibration& rig, int projector,
-                                 const std::vector<SubjectPixel>& pixels, WorkWatch* watch)
-    : rig_(rig), projector_(rig.projectors[projector]), pixels_(pixels) {
+                                 double gamma, const std::vector<SubjectPixel>& pixels, WorkWatch* watch)
+    : rig_(rig), projector_(rig.projectors[projector]), gamma_(gamma), pixels_(pixels) {
   CastPatches(scene, albedo, watch);
   PlaceReceivers(scene, watch);
   for (const SubjectPixel& p : pixels_) albedo_.push_back(albedo.Of(CfaColour(rig_.camera.cfa, p.x, p.y), p.material));
@@ -151,7 +152,8 @@ float Interreflection::At(size_t pixel, const std::vector<std::array<float, 3>>&
 void Interreflection::Render(const Pattern& pattern, std::vector<float>& indirect) const {
   if (pattern.kind == PatternKind::kBlack) return;
   const Pinhole& m = projector_.model;
-  const Image<float> image = pattern.Render(m.width, m.height);
+  Image<float> image = pattern.Render(m.width, m.height);
+  ApplyGamma(image.pixels(), gamma_);
   const auto irradiance = Irradiance([&](int column, int row) {
     const int right = std::min(m.width, (column + 1) * kBlockPx), bottom = std::min(m.height, (row + 1) * kBlockPx);
     float sum = 0.0F;

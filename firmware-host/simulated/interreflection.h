@@ -13,8 +13,8 @@ namespace stratalux::rig {
 
 class Interreflection {
  public:
-  // Useless when `watch` says afterwards that it was stopped.
-  Interreflection(const Scene& scene, const SkinAlbedo& albedo, const RigCalibration& rig, int projector,
+  // Useless when `watch` says afterwards that it was stopped. `gamma`: of the projector.
+  Interreflection(const Scene& scene, const SkinAlbedo& albedo, const RigCalibration& rig, int projector, double gamma,
                   const std::vector<SubjectPixel>& pixels, WorkWatch* watch = nullptr);
 
   // Adds, for every subject pixel, the light of `pattern` that reached it by one bounce and left it diffusely.
@@ -52,6 +52,7 @@ class Interreflection {
 
   const RigCalibration& rig_;
   const ProjectorCalibration& projector_;
+  double gamma_;
   const std::vector<SubjectPixel>& pixels_;
   std::vector<Patch> patches_;
   int grid_width_ = 0, grid_height_ = 0;

@@ -431,8 +431,7 @@ void LightTransport::Render(const Pattern& pattern, std::vector<float>& subsurfa
 LightTransport::Profiles LightTransport::ProfilesOf(const Pattern& pattern, double blur_px) const {
   std::vector<float> shown =
       pattern.Profile(pattern.axis == PatternAxis::kColumns ? projector_.model.width : projector_.model.height);
-  if (options_.optics.gamma != 1.0)
-    for (float& v : shown) v = std::pow(v, static_cast<float>(options_.optics.gamma));
+  ApplyGamma(shown, options_.optics.gamma);
   Profiles profiles{LightAlongAxis(shown, blur_px), {SharedOut(shown, blur_px), {}, {}}};
   profiles.levels[1] = BlockMeans(profiles.levels[0], 4);
   profiles.levels[2] = BlockMeans(profiles.levels[0], 16);
@@ -491,8 +490,7 @@ void LightTransport::RenderTwoDimensional(const Pattern& pattern, std::vector<fl
                                           std::vector<float>& direct, WorkWatch* watch) const {
   // Two-dimensional patterns take the blur of the subject's middle.
   Image<float> shown = pattern.Render(projector_.model.width, projector_.model.height);
-  if (options_.optics.gamma != 1.0)
-    for (float& v : shown.pixels()) v = std::pow(v, static_cast<float>(options_.optics.gamma));
+  ApplyGamma(shown.pixels(), options_.optics.gamma);
   const double blur = blur_px_[blur_px_.size() / 2];
   AddDirect(shown, blur, direct);
   if (column_response_.empty()) return;  // nothing scatters

@@ -32,6 +32,11 @@ std::vector<double> DiscreteGaussian(double sigma, int radius) {
 
 }  // namespace
 
+void ApplyGamma(std::span<float> levels, double gamma) {
+  if (gamma == 1.0) return;
+  for (float& v : levels) v = std::pow(v, static_cast<float>(gamma));
+}
+
 std::vector<float> SharedOut(const std::vector<float>& profile, double sigma) {
   if (sigma <= 0.0) return profile;
   const int radius = static_cast<int>(std::ceil(4.0 * sigma)) + 1;

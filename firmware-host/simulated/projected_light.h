@@ -10,6 +10,9 @@
 
 namespace stratalux::rig {
 
+// What a projector of that gamma gives of grey levels, in place.
+void ApplyGamma(std::span<float> levels, double gamma);
+
 // Convolves with the discrete Gaussian of variance sigma^2: what each pixel holds when neighbours have shared out their
 // light.
 [[nodiscard]] std::vector<float> SharedOut(const std::vector<float>& profile, double sigma);

@@ -94,17 +94,18 @@ void Sensor::Blur(Image<float>& light) const {
 void Sensor::Bloom(Image<float>& light) const {
   const float full = top_ - static_cast<float>(options_.electronics.black_level_dn);
   const auto share = static_cast<float>(0.5 * options_.electronics.blooming);
-  for (int x = 0; x < light.width(); ++x)
-    for (int pass = 0; pass < 2; ++pass) {
-      const bool down = pass == 0;
+  std::vector<float> column(static_cast<size_t>(light.height()));  // before anything spilled: both ways start from it
+  for (int x = 0; x < light.width(); ++x) {
+    for (int y = 0; y < light.height(); ++y) column[y] = light(x, y);
+    for (const bool down : {true, false}) {
       float carried = 0.0F;
       for (int i = 0; i < light.height(); ++i) {
-        float& v = light(x, down ? i : light.height() - 1 - i);
-        const float excess = std::max(0.0F, v - full);
-        v += carried;
-        carried = share * (excess + std::max(0.0F, v - full - excess));
+        const int y = down ? i : light.height() - 1 - i;
+        light(x, y) += carried;
+        carried = share * std::max(0.0F, column[y] + carried - full);
       }
     }
+  }
 }
 
 void Sensor::AddVices(Image<float>& light, const SensorExposure& exposure) const {

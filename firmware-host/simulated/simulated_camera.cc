@@ -128,7 +128,8 @@ void SimulatedDevices::ExposeWithFaults() {
   for (const Fault& fault : faults) {  // what changes the scene comes first
     if (fault.kind == FaultKind::kSubjectMoved && number == fault.at)
       push_mm_.x() += fault.value != 0.0 ? fault.value : kDefaultMoveMm;
-    if (fault.kind == FaultKind::kLampDrift) light_ *= fault.value != 0.0 ? fault.value : kDefaultDrift;
+    if (fault.kind == FaultKind::kLampDrift && number == fault.at)
+      light_ *= fault.value != 0.0 ? fault.value : kDefaultDrift;
   }
   const std::optional<PendingFrame> before = last_;
   PendingFrame frame = Expose();

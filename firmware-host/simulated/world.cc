@@ -141,7 +141,7 @@ Result<const Interreflection*> World::Bounce(Stage& stage, size_t projector) con
   if (bounce) return bounce.get();
   WorkWatch watch = Watch("interreflection of projector " + std::to_string(projector));
   auto made = std::make_unique<Interreflection>(stage.scene, albedo_, calibration_, static_cast<int>(projector),
-                                                stage.pixels, &watch);
+                                                options_.devices.ForProjector(projector).gamma, stage.pixels, &watch);
   SLX_RETURN_IF_ERROR(watch.Check());
   bounce = std::move(made);
   return bounce.get();

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "shared/base/check.h"
 #include "shared/base/parallel.h"
@@ -182,19 +183,25 @@ class Walker {
   double sin2_theta_ = 0.0;
 };
 
-// Mean of the chunks' means and its standard error; all chunks but the last have the same number of photons.
+int64_t PhotonsOf(int64_t chunk, const MonteCarloOptions& options) {
+  return std::min(kChunk, options.photons - chunk * kChunk);
+}
+
+// Mean over all photons, and its standard error by the scatter of the chunks' means about it, each with the weight of
+// its photons (the last has fewer); one chunk tells none.
 MonteCarloTotals::Value Summarise(const std::vector<ChunkSums>& chunks, const MonteCarloOptions& options,
                                   const std::function<double(const ChunkSums&)>& pick) {
   double sum = 0.0;
   for (const ChunkSums& c : chunks) sum += pick(c);
   const double mean = sum / static_cast<double>(options.photons);
   double squares = 0.0;
-  for (const ChunkSums& c : chunks) {
-    const double d = pick(c) / kChunk - mean;
+  for (size_t c = 0; c < chunks.size(); ++c) {
+    const double d = pick(chunks[c]) - static_cast<double>(PhotonsOf(static_cast<int64_t>(c), options)) * mean;
     squares += d * d;
   }
   const double count = static_cast<double>(chunks.size());
-  return {mean, count > 1 ? std::sqrt(squares / (count * (count - 1))) : 0.0};
+  if (count < 2.0) return {mean, std::numeric_limits<double>::quiet_NaN()};
+  return {mean, std::sqrt(squares * count / (count - 1.0)) / static_cast<double>(options.photons)};
 }
 
 }  // namespace
@@ -240,7 +247,7 @@ MonteCarloTotals TraceLayeredTissue(const Tissue& tissue, const MonteCarloOption
         for (int64_t chunk = begin; chunk < end; ++chunk) {
           escaped.clear();
           Random random(options.seed, static_cast<uint64_t>(chunk));
-          const int64_t count = std::min(kChunk, options.photons - chunk * kChunk);
+          const int64_t count = PhotonsOf(chunk, options);
           for (int64_t i = 0; i < count; ++i) walker.Walk(random, chunks[chunk], escaped);
           if (sink) sink(chunk, escaped);
         }

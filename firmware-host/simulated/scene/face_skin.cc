@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "firmware-host/simulated/skin/skin_table.h"
 #include "shared/base/random.h"
 
 namespace stratalux::rig {
@@ -99,12 +100,17 @@ SkinParameters FaceSkin::At(double x, double y) const {
     for (size_t r = 0; r < kFaceRegions; ++r) AddTo(log, weights[r], log_factors_[r]);
     melanin *= std::exp(log.melanin);
     blood *= std::exp(log.blood);
-    epidermis_mm = std::clamp(epidermis_mm * std::exp(log.epidermis + scar * log_scar_.epidermis), 0.05, 0.15);
+    epidermis_mm = std::clamp(epidermis_mm * std::exp(log.epidermis + scar * log_scar_.epidermis),
+                              SkinGrid::kEpidermisMm.front(), SkinGrid::kEpidermisMm.back());
     scattering =
         ClampScattering(scattering * std::exp(log.scattering + scar * log_scar_.scattering), cheek_.scattering);
   }
-  return {static_cast<float>(std::clamp(melanin, 0.003, 0.3)), static_cast<float>(std::clamp(blood, 0.0005, 0.06)),
-          static_cast<float>(epidermis_mm), static_cast<float>(scattering)};
+  // What the table knows: beyond its ends it would light other skin than is told here.
+  const auto within = [](double value, const auto& nodes) {
+    return static_cast<float>(std::clamp(value, nodes.front(), nodes.back()));
+  };
+  return {within(melanin, SkinGrid::kMelanin), within(blood, SkinGrid::kBlood), static_cast<float>(epidermis_mm),
+          static_cast<float>(scattering)};
 }
 
 SurfaceClass FaceSkin::ClassAt(double x, double y) const {

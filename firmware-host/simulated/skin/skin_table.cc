@@ -381,6 +381,12 @@ bool SkinTable::IsOf(const SkinTableRun& run) const {
   return is("photons_per_run", run.photons) && is("seed", run.seed);
 }
 
+std::optional<uint64_t> SkinTable::seed() const {
+  const Json made = Json::parse(manifest(), nullptr, /*allow_exceptions=*/false);
+  if (!made.is_object() || !made.contains("seed") || !made["seed"].is_number_unsigned()) return std::nullopt;
+  return made["seed"].get<uint64_t>();
+}
+
 const SkinTable::NodeAlbedos& SkinTable::LogAlbedos() const {
   std::call_once(contents_->albedos_made, [&] {
     for (int c = 0; c < kSkinChannels; ++c)

@@ -9,6 +9,7 @@
 #include <functional>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <span>
 #include <string>
 #include <utility>
@@ -157,6 +158,8 @@ class SkinTable {
   [[nodiscard]] const std::string& manifest() const { return contents_->manifest; }
   // Whether it was made with these photons and this seed.
   [[nodiscard]] bool IsOf(const SkinTableRun& run) const;
+  // Of the run that it was made by; none where its manifest does not tell.
+  [[nodiscard]] std::optional<uint64_t> seed() const;
   // Logarithm of the diffuse albedo for light at 30 degrees, [channel][node]; computed once.
   using NodeAlbedos = std::array<std::vector<float>, kSkinChannels>;
   [[nodiscard]] const NodeAlbedos& LogAlbedos() const;

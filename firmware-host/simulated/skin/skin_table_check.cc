@@ -166,7 +166,7 @@ InterpolationSummary Summarise(const std::vector<InterpolationSample>& samples, 
     if (!(noise < 0.02)) continue;
     ++summary.samples;
     const double d = share.Deviation();
-    if (std::abs(d) > std::abs(summary.largest)) summary.largest = d;
+    if (!(std::abs(d) <= std::abs(summary.largest))) summary.largest = d;  // also what is no number
     squares += d * d - noise * noise;
   }
   if (summary.samples > 0) summary.rms = std::sqrt(std::max(0.0, squares / summary.samples));

@@ -18,6 +18,7 @@
 #include <xxhash.h>
 #include <zstd.h>
 
+#include "db/base/durable_file.h"
 #include "firmware-host/simulated/skin/skin_table.h"
 
 namespace stratalux::rig {
@@ -115,13 +116,9 @@ Status SkinTable::Save(const std::string& path, int level) const {
   body.append(packed.data(), size);
   const uint64_t header[5] = {kStored * nodes(), size, XXH3_64bits(body.data(), body.size()), manifest().size(),
                               scatterings().size()};
-  std::ofstream out(path, std::ios::binary | std::ios::trunc);
-  out.write(kMagic, sizeof kMagic);
-  out.write(reinterpret_cast<const char*>(header), sizeof header);
-  out.write(body.data(), static_cast<std::streamsize>(body.size()));
-  out.flush();
-  if (!out) return Status::Failed("cannot write " + path + ": " + std::strerror(errno));
-  return Status::Ok();
+  std::string file(kMagic, sizeof kMagic);
+  file.append(reinterpret_cast<const char*>(header), sizeof header);
+  return db::ReplaceFile(path, file + body);
 }
 
 Result<SkinTable> SkinTable::Load(const std::string& path) {

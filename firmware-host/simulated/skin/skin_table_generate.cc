@@ -110,7 +110,7 @@ void AccumulateRun(const Tissue& tissue, int channel, int in, const MonteCarloOp
   const size_t size = size_t{G::kThetas} * G::kAzimuths * nodes * G::kCells;
   // Fixed-point integers make the sum independent of the order in which the threads deliver.
   std::vector<int64_t> fixed(size, 0);  // [out][azimuth][cell][node]
-  constexpr double kFixed = 0x1p44;     // 2^19 photons in one cell overflow; 3 million in all put less than 10^5 there
+  constexpr double kFixed = 0x1p44;     // 2^19 photons in one cell overflow: kMostPhotons
   std::mutex mutex;
   TraceLayeredTissue(tissue, options, [&](int64_t, std::span<const EscapedPhoton> list) {
     std::array<double, kNodes> weights{};
@@ -215,9 +215,13 @@ std::vector<uint16_t> MadeBefore(std::span<const SkinTable> made, const SkinTabl
   return {};
 }
 
+// Three million put less than 10^5 into the fullest cell, and AccumulateRun holds five times as many there.
+constexpr int64_t kMostPhotons = 10'000'000;
+
 Status CheckPhotons(int64_t photons) {
-  if (photons >= 1000) return Status::Ok();
-  return Status::Usage("skin table: photons = " + std::to_string(photons) + ", at least 1000");
+  if (photons >= 1000 && photons <= kMostPhotons) return Status::Ok();
+  return Status::Usage("skin table: photons = " + std::to_string(photons) + ", allowed: 1000 .. " +
+                       std::to_string(kMostPhotons));
 }
 
 }  // namespace

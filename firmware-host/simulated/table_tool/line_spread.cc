@@ -7,6 +7,8 @@
 #include <mutex>
 #include <numbers>
 
+#include "shared/base/formatted.h"
+
 namespace stratalux::rig {
 namespace {
 
@@ -32,7 +34,8 @@ std::vector<Hit> Trace(const LineSpreadOptions& o, double incidence_deg, double 
   const double wx = sign * std::sin(exit), wz = -std::cos(exit);
   MonteCarloOptions run;
   run.photons = o.photons;
-  run.seed = o.seed;
+  // Photons of its own: those of the mirrored light would make one the exact image of the other, noise and all.
+  run.seed = o.seed + (incidence_deg < 0.0 ? 0x9e3779b97f4a7c15U : 0U);
   run.sin2_theta_low = run.sin2_theta_high = sin_in * sin_in;
   run.max_path_mm = 300.0;
   run.max_radius_mm = 60.0;
@@ -51,6 +54,19 @@ std::vector<Hit> Trace(const LineSpreadOptions& o, double incidence_deg, double 
 }
 
 }  // namespace
+
+Status LineSpreadOptions::Validate() const {
+  constexpr double kMostMm = 1000.0, kMostSteps = 100'000.0;
+  if (!(half_width_mm > 0.0 && half_width_mm <= kMostMm))
+    return Status::Usage(Formatted("profiles: half width = %g mm, allowed: above 0 .. %g", half_width_mm, kMostMm));
+  if (!(step_mm > 0.0) || !(half_width_mm / step_mm <= kMostSteps))
+    return Status::Usage(Formatted("profiles: step = %g mm, allowed: %g (%g steps to the half width) and more", step_mm,
+                                   half_width_mm / kMostSteps, kMostSteps));
+  for (const double slit : slit_mm)
+    if (!(slit > 0.0 && slit <= kMostMm))
+      return Status::Usage(Formatted("profiles: slit = %g mm, allowed: above 0 .. %g", slit, kMostMm));
+  return Status::Ok();
+}
 
 std::string LineSpreadCsv(const LineSpreadOptions& o) {
   std::string csv = "source,incidence_deg,exit_deg,slit_mm,u_mm,radiance\n";

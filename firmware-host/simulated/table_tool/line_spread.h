@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "firmware-host/simulated/skin/skin_optics.h"
+#include "shared/base/result.h"
 
 namespace stratalux::rig {
 
@@ -20,12 +21,13 @@ struct LineSpreadOptions {
   double half_width_mm = 12.0;
   double acceptance_deg = 6.0;  // half-angle of the accepted exit cone
   int64_t photons = 1000000;    // for each incidence
-  uint64_t seed = 1;
+  uint64_t seed = 1;            // lights of either sign have photons of their own
+  [[nodiscard]] Status Validate() const;
 };
 
 // Columns source,incidence_deg,exit_deg,slit_mm,u_mm,radiance; source = "i<incidence> e<exit> s<slit>".
 // u = observed minus line position; incidence > 0: light travels towards +u; exit > 0: light leaves towards +u;
-// radiance in the reflectance unit (pi times radiance over irradiance), averaged over the step.
+// radiance in the reflectance unit (pi times radiance over irradiance), averaged over the step. The options are valid.
 [[nodiscard]] std::string LineSpreadCsv(const LineSpreadOptions& options);
 
 }  // namespace stratalux::rig

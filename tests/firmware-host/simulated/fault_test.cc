@@ -59,8 +59,10 @@ TEST(Faults, TextAndTablesAreReadAndWrongOnesNamed) {
   EXPECT_EQ(fault->at, 40);
   EXPECT_EQ(fault->count, 3);
   EXPECT_EQ(fault->value, 0.95);
-  for (const char* wrong : {"frame_lost", "frame_lost@", "frame_lost@x", "frame_lost@-1", "lost@3", "frame_lost@3x0",
-                            "frame_lost@3=", "@3", "", "frame_lost@3 "})
+  for (const char* wrong :
+       {"frame_lost", "frame_lost@", "frame_lost@x", "frame_lost@-1", "lost@3", "frame_lost@3x0", "frame_lost@3=", "@3",
+        "", "frame_lost@3 ", "lamp_drift@0=nan", "frame_late@3=inf", "lamp_drift@0=-inf", "lamp_drift@0=1e7",
+        "frame_lost@1x9223372036854775807", "frame_lost@1073741825"})
     EXPECT_EQ(ParseFault(wrong).status().code(), StatusCode::kUsage) << wrong;
   auto root = TomlTable::ParseText(
       "[[fault]]\nkind = \"edge_lost\"\nat = 3\n[faults]\nrate = 0.5\nkinds = [\"frame_lost\"]\nburst = 3\npair = "

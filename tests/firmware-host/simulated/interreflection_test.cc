@@ -45,7 +45,7 @@ SceneDescription MattBowl(double albedo) {
 TEST(Interreflection, LightsASphereFromInsideEvenly) {
   const World world(MattBowl(0.8));
   const int projector = 1;
-  const Interreflection bounce(world.scene, world.albedo, world.rig, projector, world.pixels);
+  const Interreflection bounce(world.scene, world.albedo, world.rig, projector, 1.0, world.pixels);
   // Flux falling into the bowl, counted ray by ray.
   const ProjectorCalibration& p = world.rig.projectors[projector];
   std::array<double, 3> flux{};
@@ -81,7 +81,7 @@ TEST(Interreflection, LightsASphereFromInsideEvenly) {
 
 TEST(Interreflection, IsLinearInThePattern) {
   const World world(MattBowl(0.6));
-  const Interreflection bounce(world.scene, world.albedo, world.rig, 0, world.pixels);
+  const Interreflection bounce(world.scene, world.albedo, world.rig, 0, 1.0, world.pixels);
   const Pattern code = {.kind = PatternKind::kGray, .bit = 2, .bits = 9};
   Pattern inverse = code;
   inverse.inverse = true;
@@ -96,12 +96,34 @@ TEST(Interreflection, IsLinearInThePattern) {
   }
 }
 
+TEST(Interreflection, ShowsWhatAProjectorOfItsGammaDoes) {
+  // Vertical stripes of full contrast light one half and are what they were; a sinusoid's mean is that of its power.
+  const World world(MattBowl(0.6));
+  const double gamma = 2.2;
+  const Interreflection linear(world.scene, world.albedo, world.rig, 0, 1.0, world.pixels),
+      bent(world.scene, world.albedo, world.rig, 0, gamma, world.pixels);
+  const Pattern sinusoid = {.kind = PatternKind::kSinusoid, .period = 16, .shift = 0, .shifts = 4};
+  const Pattern code = {.kind = PatternKind::kGray, .bit = 2, .bits = 9};
+  std::vector<float> white(world.pixels.size(), 0.0F), waves = white, codes = white, straight = white;
+  linear.Render({.kind = PatternKind::kWhite}, white);
+  bent.Render(sinusoid, waves);
+  bent.Render(code, codes);
+  linear.Render(code, straight);
+  double mean = 0.0;
+  for (int k = 0; k < 16; ++k) mean += std::pow(0.5 + 0.5 * std::cos(2.0 * std::numbers::pi * k / 16.0), gamma) / 16.0;
+  ASSERT_LT(mean, 0.4);
+  for (size_t i = 0; i < white.size(); ++i) {
+    ASSERT_NEAR(waves[i], mean * white[i], 0.01 * white[i] + 1e-6) << i;  // the last block is not a whole period
+    ASSERT_EQ(codes[i], straight[i]);
+  }
+}
+
 TEST(Interreflection, FlatAndConvexBodiesHaveNone) {
   for (const ShapeKind shape : {ShapeKind::kWhite, ShapeKind::kSphere}) {
     SceneDescription description;
     description.shape = shape;
     const World world(description);
-    const Interreflection bounce(world.scene, world.albedo, world.rig, 2, world.pixels);
+    const Interreflection bounce(world.scene, world.albedo, world.rig, 2, 1.0, world.pixels);
     std::vector<float> indirect(world.pixels.size(), 0.0F);
     bounce.Render({.kind = PatternKind::kWhite}, indirect);
     for (const float v : indirect) ASSERT_EQ(v, 0.0F) << ToString(shape);
@@ -111,7 +133,7 @@ TEST(Interreflection, FlatAndConvexBodiesHaveNone) {
 TEST(Interreflection, AFaceReceivesMoreBesideItsNoseThanOnItsForehead) {
   SceneDescription description;
   const World world(description);
-  const Interreflection bounce(world.scene, world.albedo, world.rig, 1, world.pixels);
+  const Interreflection bounce(world.scene, world.albedo, world.rig, 1, 1.0, world.pixels);
   std::vector<float> indirect(world.pixels.size(), 0.0F);
   bounce.Render({.kind = PatternKind::kWhite}, indirect);
   double nose = 0.0, forehead = 0.0;

@@ -219,6 +219,19 @@ TEST(Sensor, BloomingSpillsUpAndDownOnlyAboveTheFullWell) {
   EXPECT_EQ(over(5, 16), 164);
 }
 
+TEST(Sensor, BloomingSpillsAlikeToBothSidesOfARun) {
+  CameraElectronics camera = Camera(4.0, 0.0);
+  for (const double blooming : {0.5, 1.0}) {
+    camera.blooming = blooming;
+    Image<float> run(9, 61);
+    for (float& v : run.pixels()) v = 100.0F;
+    for (int y = 20; y <= 40; ++y) run(4, y) = 4400.0F;  // all of them over
+    const Image<uint16_t> over = ExposeSensor(run, camera, 0, {.noise = false});
+    EXPECT_GT(over(4, 19), 164 + 50);
+    for (int d = 1; d <= 20; ++d) EXPECT_EQ(over(4, 20 - d), over(4, 40 + d)) << blooming << " " << d;
+  }
+}
+
 TEST(Sensor, CompressionIsQuadraticAndTenBitsAreFourApart) {
   CameraElectronics camera = Camera(4.0, 0.0);
   camera.compression = 0.05;

@@ -58,6 +58,26 @@ TEST(LayeredMonteCarlo, ReproducesJensensSkin1) {
   }
 }
 
+TEST(LayeredMonteCarlo, StandardErrorsHoldForALastChunkThatIsNotWhole) {
+  // Of many runs of the same tissue, by other seeds: their scatter is what each of them says of itself. A single photon
+  // more than whole chunks must not make a chunk of its own weight.
+  const Tissue slab{{LayerCm(1.0, 10, 90, 0.75, 0.02)}, 1.0};
+  for (const int64_t photons : {16001, 19000}) {
+    constexpr int kRuns = 60;
+    double sum = 0.0, squares = 0.0, said = 0.0;
+    for (int k = 0; k < kRuns; ++k) {
+      const auto t = TraceLayeredTissue(slab, {.photons = photons, .seed = 100 + static_cast<uint64_t>(k)});
+      sum += t.reflectance.mean;
+      squares += t.reflectance.mean * t.reflectance.mean;
+      said += t.reflectance.standard_error * t.reflectance.standard_error / kRuns;
+    }
+    const double variance = (squares - sum * sum / kRuns) / (kRuns - 1);
+    // Relative error of either: sqrt(2 / 59) of the scatter, sqrt(2 / 8 / 60) of the mean of what nine chunks say.
+    EXPECT_NEAR(said / variance, 1.0, 3.5 * std::sqrt(2.0 / 59 + 2.0 / 8 / 60)) << photons;
+  }
+  EXPECT_TRUE(std::isnan(TraceLayeredTissue(slab, {.photons = 1000}).reflectance.standard_error));
+}
+
 TEST(LayeredMonteCarlo, ConservesEnergy) {
   const Tissue tissue{{{1.4, 0.3, 10, 0.8, 0.1}, {1.36, 0.05, 8, 0.7, 1.0}, {1.45, 0.1, 5, 0.8, kHalfSpace}}, 1.0};
   const auto t = TraceLayeredTissue(tissue, {.photons = 50000, .sin2_theta_low = 0.5, .sin2_theta_high = 0.5});

@@ -3,6 +3,7 @@
 // numbers of its own to answer to (tests/shared/transport).
 #include "firmware-host/simulated/skin/skin_table.h"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <filesystem>
@@ -11,17 +12,23 @@
 #include <limits>
 #include <mutex>
 #include <numbers>
+#include <sstream>
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include "firmware-host/simulated/skin/skin_table_check.h"
 #include "shared/units/angle.h"
 #include "tests/firmware-host/simulated/skin/shipped_table.h"
+#include "tests/support/run_program.h"
+#include "tests/support/scratch_folder.h"
 
 namespace stratalux::rig {
 namespace {
 
 using G = SkinGrid;
+using ::testing::HasSubstr;
+using ::testing::Not;
 
 double Sin2(double deg) { return std::pow(std::sin(RadFromDeg(deg)), 2); }
 double RingAreaMm2(int ring) {
@@ -583,6 +590,56 @@ TEST(WaxTable, KnowsNoSkin) {
   wax.Interpolate(0, {0.01F, 0.001F}, {0.3F, 0.2F, 1.0F}, one);
   wax.Interpolate(0, {0.20F, 0.050F}, {0.3F, 0.2F, 1.0F}, other);
   EXPECT_EQ(one.Integral(), other.Integral());
+}
+
+Outcome Tool(const std::string& arguments) { return Execute("stratalux-skin-table " + arguments); }
+
+TEST(SkinTableTool, ChecksByOtherPhotonsThanTheTables) {
+  const std::string table = SkinTable::DefaultPath();
+  ASSERT_TRUE(ShippedTable().seed());
+  const Outcome own = Tool("check " + table + " --photons 1000 --seed " + std::to_string(*ShippedTable().seed()));
+  EXPECT_EQ(own.code, 2);
+  EXPECT_THAT(own.out, HasSubstr("take another"));
+  EXPECT_EQ(Tool("check " + table + " --channel 2 --photons 20000").code, 0);
+}
+
+TEST(SkinTableTool, SaysWhereTooFewPhotonsTellNothing) {
+  const Outcome check = Tool("check " + SkinTable::DefaultPath() + " --interpolation --photons 100");
+  EXPECT_EQ(check.code, 2);
+  EXPECT_THAT(check.out, HasSubstr("--photons 100: too few"));
+}
+
+TEST(SkinTableTool, RefusesToWriteWhereItCannotBeforeItsPhotonsRun) {
+  const ScratchFolder folder;
+  for (const std::string& out : {folder.path().string() + "/not/there.bin", folder.path().string()}) {
+    const Outcome run = Tool("generate --photons 1000000 --out " + out);
+    EXPECT_EQ(run.code, 1) << run.out;
+    EXPECT_THAT(run.out, HasSubstr("cannot write " + out));
+    EXPECT_THAT(run.out, Not(HasSubstr("%"))) << "photons ran";
+  }
+  const Outcome many = Tool("generate --photons 20000000 --out " + folder.path().string() + "/t.bin");
+  EXPECT_EQ(many.code, 2);
+  EXPECT_THAT(many.out, HasSubstr("allowed: 1000 .. 10000000"));
+}
+
+TEST(SkinTableTool, RefusesProfilesOfNoEnd) {
+  for (const char* wrong : {"--step-mm 1e-9", "--slit inf", "--half-width-mm 1e9", "--step-mm nan", "--slit 0.5 nan"})
+    EXPECT_EQ(Tool(std::string("profiles --photons 1000 ") + wrong).code, 2) << wrong;
+}
+
+TEST(SkinTableTool, LightFromTheOtherSideHasPhotonsOfItsOwn) {
+  const auto radiances = [](const std::string& incidence, bool backwards) {
+    std::istringstream csv(Tool("profiles --photons 20000 --exit 0 --incidence " + incidence).out);
+    std::vector<std::string> found;
+    for (std::string line; std::getline(csv, line);)
+      if (line.front() == 'i') found.push_back(line.substr(line.rfind(',') + 1));
+    if (backwards) std::reverse(found.begin(), found.end());
+    return found;
+  };
+  const auto one = radiances("45", false), other = radiances("-45", true);
+  ASSERT_EQ(one.size(), other.size());
+  ASSERT_GT(one.size(), 50u);
+  EXPECT_NE(one, other);
 }
 
 }  // namespace
