@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 # The include check must name every planted violation of every kind, and pass a clean tree.
 set -euo pipefail
-check=$(cd "$(dirname "$0")" && pwd)/check-includes.sh
+check=$(cd "$(dirname "$0")" && pwd)/check-includes.py
 tree=$(mktemp -d)
 trap 'rm -rf "$tree"' EXIT
 planted=()

@@ -34,9 +34,24 @@ while [ $# -gt 0 ]; do
   esac
 done
 [ $list -eq 0 ] || [ $night -eq 1 ] || { echo "error: --list speaks of --night" >&2; exit 2; }
-# At night some parts wait more than they compute.
-cores=${jobs:-$(nproc)} jobs=${jobs:-$(($(nproc) + night))}
-[ $install -eq 0 ] || [ $list -eq 1 ] || "$root/scripts/install-deps.sh"
+# Some tests wait more than they compute.
+cores=${jobs:-$(nproc)} jobs=${jobs:-$(($(nproc) + 1))}
+# What the build needs comes first, what only tests need while it builds.
+rest=
+finish_installing() {
+  local pid=$rest
+  [ -n "$pid" ] || return 0
+  rest=
+  wait "$pid" || { cat "$rest_log" >&2; echo "error: scripts/install-deps.sh failed" >&2; return 1; }
+}
+if [ $install -eq 1 ] && [ $list -eq 0 ]; then
+  "$root/scripts/install-deps.sh" --groups rig,fit,test
+  echo "test.sh: what the build needs is there after $SECONDS s" >&2
+  rest_log=$(mktemp)
+  trap 'finish_installing || true; rm -f "$rest_log"' EXIT
+  "$root/scripts/install-deps.sh" >"$rest_log" 2>&1 &
+  rest=$!
+fi
 cd "$root"
 [ $list -eq 1 ] || cmake --preset "$preset"
 if [ $tidy -eq 1 ]; then
@@ -45,6 +60,8 @@ if [ $tidy -eq 1 ]; then
   exit 0
 fi
 [ $list -eq 1 ] || cmake --build --preset "$preset" -j "$cores"
+finish_installing
+[ $list -eq 1 ] || echo "test.sh: built after $SECONDS s" >&2
 if [ $night -eq 1 ]; then
   export STRATALUX_SEED=${STRATALUX_SEED:-$(date +%Y%m%d)}
   echo "seed $STRATALUX_SEED" >&2
@@ -79,7 +96,7 @@ if [ $night -eq 1 ]; then
   if [ -z "${TMPDIR:-}" ] && [ "$(df --output=avail -B 1G /dev/shm 2>/dev/null | tail -n 1)" -ge 4 ]; then
     TMPDIR=$(mktemp -d /dev/shm/stratalux-night.XXXXXX)
     export TMPDIR
-    trap 'rm -rf "$TMPDIR"' EXIT
+    trap 'rm -rf "$TMPDIR" ${rest_log:+"$rest_log"}' EXIT
   fi
   status=0
   ctest --test-dir "build/$preset" -C night -L "^night\$" --output-on-failure -V -j "$jobs" "${select[@]}" || status=$?
