@@ -3,6 +3,7 @@
 #include <csignal>
 #include <cstdlib>
 #include <memory>
+#include <optional>
 
 #include <fcntl.h>
 #include <nlohmann/json.hpp>
@@ -11,7 +12,9 @@
 
 #include "db/apps/command.h"
 #include "db/apps/serve/site.h"
+#include "db/base/durable_file.h"
 #include "shared/base/log.h"
+#include "shared/base/unique_fd.h"
 #include "shared/http/server.h"
 
 namespace stratalux::db {
@@ -45,8 +48,40 @@ class StopSignals {
   sigset_t signals_{};
 };
 
+// A page that sends the browser on to the link: what a program is started with, every user of the machine may read, and
+// this file its owner alone. Gone with this program.
+class LinkPage {
+ public:
+  explicit LinkPage(const std::string& url) {
+    const char* own = std::getenv("XDG_RUNTIME_DIR");
+    std::string name =
+        (own != nullptr && *own != '\0' ? std::string(own) : std::string("/tmp")) + "/stratalux-serve-XXXXXX.html";
+    constexpr int kSuffix = 5;                                        // ".html"
+    const UniqueFd file(mkostemps(name.data(), kSuffix, O_CLOEXEC));  // mode 0600
+    if (!file.ok()) return;
+    name_ = name;
+    const std::string page =
+        "<!DOCTYPE html><meta charset=\"utf-8\"><meta name=\"referrer\" content=\"no-referrer\">"
+        "<meta http-equiv=\"refresh\" content=\"0; url=" +
+        url + "\"><title>Stratalux</title>\n";
+    if (!WriteAll(file.get(), page.data(), page.size(), name).ok()) Remove();
+  }
+  ~LinkPage() { Remove(); }
+  LinkPage(const LinkPage&) = delete;
+  LinkPage& operator=(const LinkPage&) = delete;
+  // Empty: it could not be written.
+  [[nodiscard]] const std::string& name() const { return name_; }
+
+ private:
+  void Remove() {
+    if (!name_.empty()) unlink(name_.c_str());
+    name_.clear();
+  }
+  std::string name_;
+};
+
 // By the desktop's own program, twice removed so that nobody waits for it.
-void OpenBrowser(const std::string& url) {
+void OpenBrowser(const std::string& page) {
   const pid_t child = fork();
   if (child < 0) return;
   if (child > 0) {
@@ -60,7 +95,7 @@ void OpenBrowser(const std::string& url) {
   sigprocmask(SIG_SETMASK, &none, nullptr);
   const int null = open("/dev/null", O_RDWR);
   for (int fd = 0; fd < 3; ++fd) dup2(null, fd);
-  execlp("xdg-open", "xdg-open", url.c_str(), static_cast<char*>(nullptr));
+  execlp("xdg-open", "xdg-open", page.c_str(), static_cast<char*>(nullptr));
   _exit(127);
 }
 
@@ -117,8 +152,11 @@ int RunServe(const CommonFlags& common, const ServeFlags& flags) {
                    " and has the token sees this store; what is sent is not"
                    " encrypted: put a reverse proxy with TLS in front (docs/operators-guide.md)");
   if (const int printed = Announce(common, flags, *server, access->token); printed != 0) return printed;
-  if (!flags.no_open && flags.token_file.empty() && HasDesktop())
-    OpenBrowser(server->url() + "/?token=" + access->token);
+  std::optional<LinkPage> page;
+  if (!flags.no_open && flags.token_file.empty() && HasDesktop()) {
+    page.emplace(server->url() + "/?token=" + access->token);
+    if (!page->name().empty()) OpenBrowser(page->name());
+  }
   signals.Wait();
   server->Stop();
   return 0;

@@ -7,6 +7,7 @@
 #include <fcntl.h>
 #include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
+#include <pty.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -19,6 +20,7 @@
 #include "db/privacy/access_log.h"
 #include "db/privacy/forget.h"
 #include "db/segment/segment.h"
+#include "shared/base/read_file.h"
 #include "shared/capture/reduced_picture.h"
 #include "shared/http/server.h"
 #include "shared/image/png.h"
@@ -412,6 +414,44 @@ TEST_F(ServeCommand, ItsLinkOpensItOnceAndASignalEndsIt) {
     EXPECT_EQ(http::Get(port, "/sessions", {{"Host", "evil.example"}}).status, 421);
     EXPECT_EQ(End(signal), 0);
   }
+}
+
+// What a program is started with, everybody on the machine may read: the browser gets a page that its owner alone can.
+TEST_F(ServeCommand, TheBrowserIsGivenThePageOfAnOwnerAndNotTheLink) {
+  (void)StoreSession(1);
+  const std::filesystem::path fake = folder_ / "desktop", runtime = fake / "runtime";
+  std::filesystem::create_directories(runtime);
+  WriteText(fake / "xdg-open", "#!/bin/sh\nset -e\nprintf '%s' \"$*\" > '" + (fake / "arguments").string() +
+                                   "'\ncp -p \"$1\" '" + (fake / "page.part").string() + "'\nmv '" +
+                                   (fake / "page.part").string() + "' '" + (fake / "page").string() + "'\n");
+  std::filesystem::permissions(fake / "xdg-open", std::filesystem::perms::owner_all);
+  int terminal = -1;
+  pid_ = forkpty(&terminal, nullptr, nullptr, nullptr);
+  if (pid_ == 0) {
+    setenv("PATH", (fake.string() + ":" + std::getenv("PATH")).c_str(), 1);
+    setenv("XDG_RUNTIME_DIR", runtime.c_str(), 1);
+    setenv("DISPLAY", ":77", 1);
+    alarm(60);
+    const std::string program = std::string(STRATALUX_BIN_DIR) + "/stratalux-db", store = folder_.string();
+    execl(program.c_str(), program.c_str(), "serve", "--store", store.c_str(), static_cast<char*>(nullptr));
+    _exit(127);
+  }
+  ASSERT_GT(pid_, 0);
+  for (int tries = 0; tries < 3000 && !std::filesystem::exists(fake / "page"); ++tries) usleep(10'000);
+  ASSERT_TRUE(std::filesystem::exists(fake / "page"));
+  const std::string arguments = *ReadFile(fake / "arguments"), page = *ReadFile(fake / "page");
+  EXPECT_THAT(arguments, Not(HasSubstr("token")));
+  EXPECT_TRUE(std::filesystem::path(arguments).parent_path() == runtime) << arguments;
+  EXPECT_EQ(std::filesystem::status(arguments).permissions(),
+            std::filesystem::perms::owner_read | std::filesystem::perms::owner_write);
+  const size_t link = page.find("url=http://127.0.0.1:");
+  ASSERT_NE(link, std::string::npos) << page;
+  const std::string url = page.substr(link + 4, page.find('"', link) - link - 4);
+  const std::string rest = url.substr(std::string("http://127.0.0.1:").size());
+  EXPECT_EQ(http::Get(std::stoi(rest), rest.substr(rest.find('/'))).status, 303);
+  EXPECT_EQ(End(SIGTERM), 0);
+  EXPECT_TRUE(std::filesystem::is_empty(runtime)) << "the page outlives the program";
+  close(terminal);
 }
 
 // The token must stay in no address: not in the browser's history, not in what is copied and passed on.
