@@ -69,16 +69,21 @@ Result<std::vector<ComparedPixel>> CompareWithRig(const CompareOptions& options,
                        SkinTable::Load(quiet.skin_table.empty() ? SkinTable::DefaultPath() : quiet.skin_table));
   SLX_ASSIGN_OR_RETURN(const Scene scene, Scene::Create(simulation.scene, quiet.seed, &table));
   SLX_RETURN_IF_ERROR(rig->camera().Start());
-  // Lines and spots are dim: longer exposures keep the rounding small.
-  auto longer = [](const NamedLight& l) { return l.light.pattern.kind == PatternKind::kWhite ? 1.0 : 4.0; };
-  std::vector<Image<double>> frames;  // less the dark ones, at the nominal exposure
+  // Less the dark ones, at the nominal exposure. Lines and spots are dim: where an exposure of four times that does not
+  // saturate, it keeps the rounding small.
+  std::vector<Image<double>> frames;
+  const double saturation_dn = rig->calibration().camera.saturation_dn;
   for (const NamedLight& l : lights) {
-    SLX_ASSIGN_OR_RETURN(const auto frame, Shoot(*rig, &l.light, longer(l) * options.exposure_ms));
-    SLX_ASSIGN_OR_RETURN(const auto dark, Shoot(*rig, nullptr, longer(l) * options.exposure_ms));
-    Image<double> difference(frame.width(), frame.height());
-    for (size_t i = 0; i < difference.size(); ++i)
-      difference.pixels()[i] = (double(frame.pixels()[i]) - double(dark.pixels()[i])) / longer(l);
-    frames.push_back(std::move(difference));
+    Image<double> light;
+    for (const double longer : l.light.pattern.kind == PatternKind::kWhite ? std::vector{1.0} : std::vector{1.0, 4.0}) {
+      SLX_ASSIGN_OR_RETURN(const auto frame, Shoot(*rig, &l.light, longer * options.exposure_ms));
+      SLX_ASSIGN_OR_RETURN(const auto dark, Shoot(*rig, nullptr, longer * options.exposure_ms));
+      if (light.empty()) light = Image<double>(frame.width(), frame.height());
+      for (size_t i = 0; i < light.size(); ++i)
+        if (longer == 1.0 || frame.pixels()[i] < saturation_dn)
+          light.pixels()[i] = (double(frame.pixels()[i]) - double(dark.pixels()[i])) / longer;
+    }
+    frames.push_back(std::move(light));
   }
   const RigCalibration& calibration = rig->calibration();
   // A projector's black still shines as white does: behind the lights, the white of each projector.
