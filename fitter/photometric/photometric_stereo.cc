@@ -114,8 +114,8 @@ std::string SizeOf(int width, int height, int channels) {
 }
 
 Status CheckInput(std::span<const LitImage> images, const SurfaceMap& surface) {
-  if (images.size() < 3 || images.size() > 255)
-    return Status::Usage("photometric: " + std::to_string(images.size()) + " lights, allowed: 3 .. 255");
+  if (images.empty() || images.size() > 255)
+    return Status::Usage("photometric: " + std::to_string(images.size()) + " lights, allowed: 1 .. 255");
   const int width = surface.width(), height = surface.height(), channels = images[0].direct.channels();
   if (channels != 1 && channels != 3)
     return Status::Usage("photometric: " + std::to_string(channels) + " channels, allowed: 1 or 3");

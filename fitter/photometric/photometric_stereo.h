@@ -41,8 +41,9 @@ struct PhotometricMap {
 
 // Of each quad of the surface y_p = direct_p / white_p = albedo n . l_p, mean over channels, with light p's direction
 // and white there, and from these EstimatePointNormal(). The surface gives points and, where light alone does not do,
-// its normal as prior. kUsage: sizes or channels (1 or 3) differ, a light is not valid, fewer than three or more than
-// 255 lights. Reentrant; same input, same bits, whatever the number of threads.
+// its normal as prior. Of fewer than three lights all quads are kTooFewSources. kUsage: sizes or channels (1 or 3)
+// differ, a light is not valid, no or more than 255 lights. Reentrant; same input, same bits, whatever the number of
+// threads.
 [[nodiscard]] Result<PhotometricMap> EstimateNormals(std::span<const LitImage> images, const SurfaceMap& surface,
                                                      const PhotometricOptions& options = {});
 

@@ -16,7 +16,8 @@ struct FaceNormals {
   Image<float> fused;  // photometric detail on the surface's low frequencies
 };
 
-// `separation`: of each projector of the rig, in its order. kUsage: as many are not there, or fewer than three.
+// `separation`: of each projector of the rig, in its order. Of fewer than three no normal rests on light alone
+// (kTooFewSources), and the fused ones are the surface's. kUsage: as many are not there.
 [[nodiscard]] Result<FaceNormals> EstimateFaceNormals(std::span<const SeparationMap> separation,
                                                       const SurfaceMap& surface, const RigCalibration& rig,
                                                       double exposure_ms);

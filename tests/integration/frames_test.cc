@@ -129,5 +129,41 @@ TEST_F(Frames, ReadingsThatNeedWholeCyclesAreRefused) {
   }
 }
 
+// Of what the smallest rig captured, the share of its first two projectors, as if there were no others.
+void StoreTwoProjectors(const fs::path& from, const fs::path& to) {
+  auto frames = fit::SessionFrames::Open(from.string(), "latest");
+  ASSERT_TRUE(frames.ok()) << frames.status().message();
+  PlanOptions plan = *frames->plan();
+  RigCalibration record = *frames->record();
+  plan.projectors = 2;
+  record.projectors.resize(2);
+  SessionInfo info = frames->info();
+  info.plan_json = PlanOptionsToJson(plan);
+  info.calibration_json = record.ToJson();
+  ASSERT_TRUE(db::SessionStore::Create(to).ok());
+  auto store = db::SessionStore::Open(to, db::AccessMode::kReadWrite);
+  ASSERT_TRUE(store.ok()) << store.status().message();
+  auto writer = store->BeginSession(info);
+  ASSERT_TRUE(writer.ok()) << writer.status().message();
+  for (const db::FrameRow& row : frames->rows()) {
+    if (row.record.projector >= 2) continue;
+    const auto pixels = frames->ReadRaw(row);
+    ASSERT_TRUE(pixels.ok()) << pixels.status().message();
+    ASSERT_TRUE(writer->Append(row.record, pixels->view()).ok());
+  }
+  ASSERT_TRUE(writer->Finish(SessionStatus::kComplete).ok());
+}
+
+// Normals of light alone take three lights; a rig of two has the surface's.
+TEST_F(Frames, ARigOfTwoProjectorsIsFitted) {
+  const fs::path two = folder_ / "two";
+  ASSERT_NO_FATAL_FAILURE(StoreTwoProjectors(Captured("four"), two));
+  const Outcome fitted = Fit(two, std::string("run latest --heldout 1 --json ") + kFewProfiles);
+  ASSERT_EQ(fitted.code, 0) << fitted.out;
+  const Json metrics = MetricsOf(two, Printed(fitted.out).at("fit").get<std::string>());
+  EXPECT_EQ(metrics.at("prediction").at(0).at("projector"), 1);
+  EXPECT_TRUE(metrics.at("prediction").at(0).at("nrmse").is_number());
+}
+
 }  // namespace
 }  // namespace stratalux

@@ -282,11 +282,36 @@ TEST_F(LightsOverSphere, SameBitsWhateverTheThreads) {
   EXPECT_EQ(maps[0].masked_negative, maps[1].masked_negative);
 }
 
+// Two projectors fix no normal: the surface's stands, and nothing is added to it.
+TEST_F(LightsOverSphere, FewerThanThreeLeaveTheSurfacesNormal) {
+  for (const size_t lights : {size_t{1}, size_t{2}}) {
+    Shine(Around(400.0));
+    images_.resize(lights);
+    const PhotometricMap map = Estimate();
+    int64_t on_surface = 0;
+    for (int j = 0; j < truth_.height(); ++j)
+      for (int i = 0; i < truth_.width(); ++i) {
+        const bool there = truth_.mask(i, j) != 0;
+        on_surface += there;
+        ASSERT_EQ(map.reason(i, j),
+                  static_cast<uint8_t>(there ? PhotometricReason::kTooFewSources : PhotometricReason::kNoSurface));
+        if (!there) continue;
+        const Eigen::Vector3d n(map.normal(i, j, 0), map.normal(i, j, 1), map.normal(i, j, 2));
+        ASSERT_LT(n.cross(truth_.Normal(i, j)).norm(), 1e-3) << i << ", " << j;
+      }
+    EXPECT_EQ(map.counts[static_cast<size_t>(PhotometricReason::kTooFewSources)], on_surface);
+    const SurfaceMap blurred = Blurred(2.0F);
+    const auto fused = FuseNormals(blurred, map);
+    ASSERT_TRUE(fused.ok());
+    EXPECT_EQ(std::memcmp(fused->data(), blurred.normal.data(), fused->size() * sizeof(float)), 0);
+  }
+}
+
 TEST_F(LightsOverSphere, RefuseWhatDoesNotFit) {
   Shine(Around(400.0));
   const auto code = [&] { return EstimateNormals(images_, truth_).status().code(); };
   const std::vector<LitImage> good = images_;
-  images_.resize(2);
+  images_.clear();
   EXPECT_EQ(code(), StatusCode::kUsage);
   images_ = good;
   const Image<float> small(4, 4);
