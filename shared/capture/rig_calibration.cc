@@ -102,14 +102,23 @@ Json ProjectorJson(const ProjectorCalibration& p) {
   return json;
 }
 
-ProjectorCalibration ProjectorFrom(const Json& j) {
+// Brought to length 1, of which whoever writes a record by hand may round a little away; a turn that is none is damage.
+Result<Eigen::Quaterniond> RotationFrom(const std::array<double, 4>& wxyz) {
+  constexpr double kRounding = 1e-3;
+  const Eigen::Quaterniond q(wxyz[0], wxyz[1], wxyz[2], wxyz[3]);
+  if (std::abs(q.norm() - 1.0) <= kRounding) return q.normalized();
+  return Status::Usage("quaternion_wxyz has length " + std::to_string(q.norm()) + ", not 1; calibrate again");
+}
+
+Result<ProjectorCalibration> ProjectorFrom(const Json& j) {
   ProjectorCalibration p;
   j.at("name").get_to(p.name);
   p.model = PinholeFrom(j.at("model"));
   const Json& pose = j.at("camera_from_projector");
   const auto q = pose.at("quaternion_wxyz").get<std::array<double, 4>>();
   const auto t = pose.at("translation_mm").get<std::array<double, 3>>();
-  p.camera_from_projector = {Eigen::Quaterniond(q[0], q[1], q[2], q[3]).normalized(), {t[0], t[1], t[2]}};
+  SLX_ASSIGN_OR_RETURN(const auto rotation, RotationFrom(q).WithContext("calibration: projector " + p.name));
+  p.camera_from_projector = {rotation, {t[0], t[1], t[2]}};
   j.at("line_blur_px").get_to(p.line_blur_px);
   j.at("black_level").get_to(p.black_level);
   j.at("falloff").get_to(p.falloff);
@@ -183,6 +192,9 @@ Status RigCalibration::Validate() const {
     for (double v : p.white_dn_mm2_per_ms)
       if (!(v > 0.0) || !std::isfinite(v))
         return Status::Usage("calibration: projector " + p.name + ": white_dn_mm2_per_ms must be positive");
+    if (!IsPositive(p.falloff))
+      return Status::Usage("calibration: projector " + p.name +
+                           ": falloff reaches 0 within the picture; calibrate the light again");
     SLX_RETURN_IF_ERROR(CheckResponse(p.response).WithContext("calibration: projector " + p.name));
     SLX_RETURN_IF_ERROR(CheckCovariance(p.geometry_covariance, 15).WithContext("calibration: projector " + p.name));
     if (!p.camera_from_projector.translation_mm.allFinite())
@@ -237,7 +249,9 @@ Result<RigCalibration> RigCalibration::FromJson(const std::string& text) {
     if (camera.contains(kResponse)) camera.at(kResponse).get_to(c.camera.response);
     if (camera.contains(kVignetting)) camera.at(kVignetting).get_to(c.camera.vignetting);
     GetCovariance(camera, c.camera.geometry_covariance);
-    for (const Json& p : json.at("projectors")) c.projectors.push_back(ProjectorFrom(p));
+    for (const Json& p : json.at("projectors")) {
+      SLX_ASSIGN_OR_RETURN(c.projectors.emplace_back(), ProjectorFrom(p));
+    }
     SLX_RETURN_IF_ERROR(c.Validate());
     return c;
   } catch (const nlohmann::json::exception& error) {

@@ -1,7 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "shared/capture/rig_calibration.h"
 
+#include <array>
+#include <cmath>
+#include <string>
+
 #include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
 
 namespace stratalux {
 namespace {
@@ -60,6 +65,36 @@ TEST(RigCalibration, RefusesWhatCannotBeARig) {
   c.projectors.clear();
   EXPECT_FALSE(c.Validate().ok());
   EXPECT_EQ(RigCalibration::FromJson("{\"schema\":1}").status().code(), StatusCode::kIntegrity);
+}
+
+TEST(RigCalibration, RefusesATurnThatIsNoneAndForgivesRounding) {
+  auto json = nlohmann::json::parse(Example().ToJson());
+  auto& turn = json["projectors"][0]["camera_from_projector"]["quaternion_wxyz"];
+  const auto read = [&] { return RigCalibration::FromJson(json.dump()); };
+  turn = {0.0, 0.0, 0.0, 0.0};
+  EXPECT_EQ(read().status().code(), StatusCode::kUsage);
+  EXPECT_NE(read().status().message().find("projector p0: quaternion_wxyz has length 0"), std::string::npos)
+      << read().status().message();
+  for (const double length : {1.0, 0.9991, 1.0009}) {
+    turn = {0.6 * length, 0.0, 0.8 * length, 0.0};
+    ASSERT_TRUE(read().ok()) << read().status().message();
+    EXPECT_NEAR(read()->projectors[0].camera_from_projector.rotation.norm(), 1.0, 1e-12);
+  }
+  for (const double length : {0.998, 1.002, 2.0}) {
+    turn = {0.6 * length, 0.0, 0.8 * length, 0.0};
+    EXPECT_EQ(read().status().code(), StatusCode::kUsage) << length;
+  }
+}
+
+TEST(RigCalibration, RefusesAFallOffThatReachesNothingWithinThePicture) {
+  RigCalibration c = Example();
+  for (const std::array<double, 2> dark : {std::array{-1.5, 0.0}, {0.0, -1.0}, {-2.0, 0.9}, {std::nan(""), 0.0}}) {
+    c.projectors[0].falloff = dark;
+    EXPECT_EQ(c.Validate().code(), StatusCode::kUsage) << dark[0];
+    EXPECT_NE(c.Validate().message().find("projector p0: falloff"), std::string::npos) << c.Validate().message();
+  }
+  c.projectors[0].falloff = {-0.6, 0.1};
+  EXPECT_TRUE(c.Validate().ok());
 }
 
 TEST(Pinhole, UnprojectInvertsProjectWithDistortion) {
