@@ -2,7 +2,9 @@
 #include "db/catalogue/manifest.h"
 
 #include <algorithm>
+#include <array>
 #include <cstdint>
+#include <utility>
 
 #include <nlohmann/json.hpp>
 
@@ -14,6 +16,7 @@
 #include "shared/base/json_nesting.h"
 #include "shared/base/json_number.h"
 #include "shared/base/read_file.h"
+#include "shared/image/pixel_format.h"
 
 namespace stratalux::db {
 
@@ -141,6 +144,16 @@ Status ReadFound(const Json& json, CaptureFindings& found) {
   return Status::Ok();
 }
 
+constexpr uint64_t kMostDevicePx = 65536;
+constexpr const char* kSaturation = "saturation_dn";
+
+template <typename Devices>
+auto SizesOf(Devices& devices) {
+  return std::array{
+      std::pair{"camera_width", &devices.camera_width}, std::pair{"camera_height", &devices.camera_height},
+      std::pair{"projector_width", &devices.projector_width}, std::pair{"projector_height", &devices.projector_height}};
+}
+
 Result<SessionInfo> InfoFrom(const Json& json) {
   SLX_RETURN_IF_ERROR(CheckTypes(json));
   SessionInfo info;
@@ -161,6 +174,9 @@ Result<SessionInfo> InfoFrom(const Json& json) {
   info.visit = json.value("visit", "");
   info.attempt = json.value("attempt", 0);
   SLX_RETURN_IF_ERROR(ReadFound(json, info.found));
+  if (json.contains("devices")) {
+    SLX_ASSIGN_OR_RETURN(info.devices, DevicesFromJson(json.at("devices").dump()));
+  }
   json.at("program_version").get_to(info.program_version);
   if (!json.at("plan").is_null()) info.plan_json = json.at("plan").dump();
   if (!json.at("calibration").is_null()) info.calibration_json = json.at("calibration").dump();
@@ -199,9 +215,36 @@ CaptureFindings FoundFromJson(const std::string& findings_json, const std::strin
   return found;
 }
 
+std::string DevicesToJson(const SessionDevices& devices) {
+  Json json = Json::object();
+  for (const auto& [key, value] : SizesOf(devices))
+    if (*value > 0) json[key] = *value;
+  if (devices.saturation_dn > 0.0) json[kSaturation] = devices.saturation_dn;
+  return TextOf(json, -1);
+}
+
+Result<SessionDevices> DevicesFromJson(const std::string& text) {
+  const Json json = Json::parse(text, nullptr, false);
+  if (!json.is_object()) return Status::Integrity("'devices' is not what a manifest holds there");
+  SessionDevices devices;
+  for (const auto& [key, value] : SizesOf(devices)) {
+    if (!json.contains(key)) continue;
+    const Json& size = json.at(key);
+    if (!size.is_number_unsigned() || size.get<uint64_t>() < 1 || size.get<uint64_t>() > kMostDevicePx)
+      return Status::Integrity(std::string("devices: ") + key + " is no number of pixels");
+    size.get_to(*value);
+  }
+  if (!json.contains(kSaturation)) return devices;
+  const Json& level = json.at(kSaturation);
+  if (!level.is_number() || !(level.get<double>() > 0.0) || level.get<double>() > FullScaleDn(PixelFormat::kMono16))
+    return Status::Integrity("devices: saturation_dn is no raw level");
+  level.get_to(devices.saturation_dn);
+  return devices;
+}
+
 std::string ManifestText(const std::filesystem::path& folder, const SessionInfo& info, int64_t frames,
                          const std::vector<std::string>& segments) {
-  const Json json = {
+  Json json = {
       {"schema", kManifestSchema},
       {"session", info.id},
       {"kind", ToString(info.kind)},
@@ -225,6 +268,7 @@ std::string ManifestText(const std::filesystem::path& folder, const SessionInfo&
       {"frames", frames},
       {"segments", segments},
       {"files", FilesOf(folder, segments)}};
+  if (info.devices != SessionDevices{}) json["devices"] = Json::parse(DevicesToJson(info.devices));
   return WithOwnHash(TextOf(json, 1));
 }
 

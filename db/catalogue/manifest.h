@@ -42,6 +42,11 @@ Result<ManifestContents::File> DescribeFile(const std::filesystem::path& session
 // An empty consent for any other text.
 [[nodiscard]] Consent ConsentFromJson(const std::string& text);
 
+// {"camera_width", "camera_height", "projector_width", "projector_height", "saturation_dn"}; what is not known is left
+// out. Reading: kIntegrity for another shape or what no device has.
+[[nodiscard]] std::string DevicesToJson(const SessionDevices& devices);
+[[nodiscard]] Result<SessionDevices> DevicesFromJson(const std::string& text);
+
 [[nodiscard]] std::string ReasonsToJson(const std::vector<std::string>& reasons);
 [[nodiscard]] std::vector<std::string> ReasonsFromJson(const std::string& text);
 // Of the index's columns. Other texts are none, so that they hide no frame: `verify` names the column.

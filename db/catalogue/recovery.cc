@@ -155,6 +155,8 @@ Status AbandonSession(SessionIndex& index, const fs::path& store, const SessionR
   SLX_RETURN_IF_ERROR(Apply(found, folder));
   Describe(found, session.info.id, Tense::kDone, notes);
   SessionInfo info = session.info;
+  // Which no row of the index has.
+  if (const auto begun = ReadManifest(folder); begun.ok()) info.devices = begun->devices;
   info.status = SessionStatus::kFailed;
   info.reasons = {reason};
   info.finished_wall = WallNow();

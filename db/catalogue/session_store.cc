@@ -348,6 +348,11 @@ Result<SessionRow> SessionStore::FindSession(const std::string& selector) const 
                        (numbers.size() > 2 ? ", ..." : "") + "; give more of the id");
 }
 
+SessionDevices SessionStore::DevicesOf(const std::string& id) const {
+  const auto manifest = ReadManifest(SessionFolder(id));
+  return manifest.ok() ? manifest->devices : SessionDevices{};
+}
+
 Result<std::vector<FrameRow>> SessionStore::ListFrames(const std::string& id) const {
   auto rows = impl_->ListFrames(id);
   return rows.ok() ? std::move(rows) : WithRemedy(rows.status(), id);

@@ -154,6 +154,8 @@ class SessionStore {
   // `selector`: an id, a unique prefix of one, or "latest" (that has frames). kNotFound, or kUsage when ambiguous. As
   // fast in a store of a hundred thousand sessions as in one of ten.
   Result<SessionRow> FindSession(const std::string& selector) const;
+  // As the session's manifest says; nothing is known where it has none that can be read.
+  [[nodiscard]] SessionDevices DevicesOf(const std::string& session_id) const;
   Result<std::vector<FrameRow>> ListFrames(const std::string& session_id) const;
   // Decoded pixels; 8-bit frames are widened. Every read checks the hashes of payload and pixels: kIntegrity names
   // session, segment and offset.

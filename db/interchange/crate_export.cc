@@ -74,6 +74,7 @@ class CrateWriter {
     SLX_ASSIGN_OR_RETURN(const auto truth, CrateTruth::Open(store_.SessionFolder(row.info.id)));
     DescribedSession described;
     described.info = row.info;
+    described.info.devices = store_.DevicesOf(row.info.id);
     described.info.visitor = PseudonymOf(row.info);
     described.frames = static_cast<int64_t>(frames.size());
     described.projectors = ProjectorsOf(row.info);

@@ -75,6 +75,9 @@ Result<CrateSession> FromJson(const Json& json) {
   json.at("reasons").get_to(info.reasons);
   if (json.at("schema") >= 2) SLX_RETURN_IF_ERROR(ReadVisit(json, info));
   json.at("program_version").get_to(info.program_version);
+  if (json.contains("devices")) {
+    SLX_ASSIGN_OR_RETURN(info.devices, DevicesFromJson(json.at("devices").dump()));
+  }
   if (!json.at("frames").is_number_unsigned()) return Status::Integrity("frames is no whole number from 0");
   json.at("frames").get_to(session.frames);
   session.has_plan = json.at("plan").get<bool>();
@@ -125,31 +128,32 @@ Status MayLeave(const std::filesystem::path& store, const SessionInfo& info, Cra
 
 std::string CrateSessionText(const SessionInfo& info, int64_t frames, CrateScope scope) {
   const std::string consent = ConsentToJson(info.consent);
-  const Json json = {{"format", "stratalux-crate-session"},
-                     {"schema", kSessionSchema},
-                     {"session", info.id},
-                     {"kind", ToString(info.kind)},
-                     {"rig", info.rig},
-                     {"visitor", info.visitor},
-                     {"consent", consent.empty() ? Json() : Json::parse(consent)},
-                     {"exported_for", info.kind == SessionKind::kVisitor ? Json(ToString(scope)) : Json()},
-                     {"retention", ToString(info.retention)},
-                     {"simulated", info.simulated},
-                     {"seed", info.seed},
-                     {"started", ToIso8601(info.started_wall)},
-                     {"started_wall_ns", info.started_wall.ns},
-                     {"finished", info.finished_wall.ns == 0 ? Json() : Json(ToIso8601(info.finished_wall))},
-                     {"finished_wall_ns", info.finished_wall.ns},
-                     {"status", ToString(info.status)},
-                     {"reasons", info.reasons},
-                     {"visit", info.visit},
-                     {"attempt", info.attempt},
-                     {"findings", Json::parse(FindingsToJson(info.found.findings))},
-                     {"faults", Json::parse(FaultsToJson(info.found.faults))},
-                     {"program_version", info.program_version},
-                     {"frames", frames},
-                     {"plan", !info.plan_json.empty()},
-                     {"calibration", !info.calibration_json.empty()}};
+  Json json = {{"format", "stratalux-crate-session"},
+               {"schema", kSessionSchema},
+               {"session", info.id},
+               {"kind", ToString(info.kind)},
+               {"rig", info.rig},
+               {"visitor", info.visitor},
+               {"consent", consent.empty() ? Json() : Json::parse(consent)},
+               {"exported_for", info.kind == SessionKind::kVisitor ? Json(ToString(scope)) : Json()},
+               {"retention", ToString(info.retention)},
+               {"simulated", info.simulated},
+               {"seed", info.seed},
+               {"started", ToIso8601(info.started_wall)},
+               {"started_wall_ns", info.started_wall.ns},
+               {"finished", info.finished_wall.ns == 0 ? Json() : Json(ToIso8601(info.finished_wall))},
+               {"finished_wall_ns", info.finished_wall.ns},
+               {"status", ToString(info.status)},
+               {"reasons", info.reasons},
+               {"visit", info.visit},
+               {"attempt", info.attempt},
+               {"findings", Json::parse(FindingsToJson(info.found.findings))},
+               {"faults", Json::parse(FaultsToJson(info.found.faults))},
+               {"program_version", info.program_version},
+               {"frames", frames},
+               {"plan", !info.plan_json.empty()},
+               {"calibration", !info.calibration_json.empty()}};
+  if (info.devices != SessionDevices{}) json["devices"] = Json::parse(DevicesToJson(info.devices));
   return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 

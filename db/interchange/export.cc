@@ -106,7 +106,9 @@ Result<ExportReport> ExportOne(const SessionStore& store, const SessionRow& sess
       SLX_RETURN_IF_ERROR(WriteTextOnce(options.out / "signature.json", bytes).status());
     }
     SLX_RETURN_IF_ERROR(WriteTextOnce(options.out / "frames.json", FramesJson(frames, options.format)).status());
-    const std::string toml = ImportToml(session.info, frames, options.format);
+    SessionInfo info = session.info;
+    info.devices = store.DevicesOf(id);
+    const std::string toml = ImportToml(info, frames, options.format);
     if (toml.empty()) {
       logger.Info("no import.toml: there are no frames, or of several depths or colours");
     } else {

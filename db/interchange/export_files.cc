@@ -4,8 +4,11 @@
 #include <algorithm>
 #include <array>
 #include <cctype>
+#include <cmath>
 #include <cstdio>
+#include <ranges>
 #include <set>
+#include <tuple>
 
 #include <nlohmann/json.hpp>
 
@@ -31,6 +34,42 @@ Status WriteImage(const fs::path& file, ExportFormat format, PixelFormat pixels,
                  [](uint16_t v) { return static_cast<uint8_t>(v); });
   const auto view = std::as_const(narrow).view();
   return format == ExportFormat::kPng ? WritePng8(file, view) : WriteTiff8(file, view);
+}
+
+// An import counts every frame that its manifest lists, and takes no pattern twice: without those that failed their
+// check, and of a pattern that was shot again the last. White and black stay, of which stages take means.
+std::vector<FrameRow> ThatCount(const std::vector<FrameRow>& frames) {
+  std::set<std::tuple<int, CapturePhase, std::string, int, int>> later;
+  std::vector<FrameRow> counting;
+  for (const FrameRow& frame : std::views::reverse(frames)) {
+    const FrameRecord& r = frame.record;
+    if (r.level_check == LevelCheck::kFailed) continue;
+    const bool repeated = !later.emplace(r.projector, r.phase, r.pattern.ToString(), r.pose, r.bracket).second;
+    if (repeated && r.pattern.kind != PatternKind::kWhite && r.pattern.kind != PatternKind::kBlack) continue;
+    counting.push_back(frame);
+  }
+  std::ranges::reverse(counting);
+  return counting;
+}
+
+// The projector's size by the plan, or as an earlier import said; else what its codes can number, and any size where
+// there are none.
+SessionDevices DevicesFor(const SessionInfo& info, const std::vector<FrameRow>& frames) {
+  constexpr int kLargestProjector = 8192;
+  SessionDevices devices = info.devices;
+  if (const auto plan = PlanOptionsFromJson(info.plan_json); !info.plan_json.empty() && plan.ok()) {
+    devices.projector_width = plan->projector_width;
+    devices.projector_height = plan->projector_height;
+  }
+  for (const auto& [axis, size] : {std::pair{PatternAxis::kColumns, &devices.projector_width},
+                                   std::pair{PatternAxis::kRows, &devices.projector_height}}) {
+    if (*size > 0) continue;
+    const auto code = std::ranges::find_if(frames, [axis](const FrameRow& f) {
+      return f.record.pattern.kind == PatternKind::kGray && f.record.pattern.axis == axis;
+    });
+    *size = code == frames.end() ? kLargestProjector : std::min(1 << code->record.pattern.bits, kLargestProjector);
+  }
+  return devices;
 }
 
 const char* AlignmentOf(PixelFormat format) {
@@ -137,7 +176,8 @@ std::string TomlText(const std::string& text) {
 
 }  // namespace
 
-std::string ImportToml(const SessionInfo& info, const std::vector<FrameRow>& frames, ExportFormat format) {
+std::string ImportToml(const SessionInfo& info, const std::vector<FrameRow>& all, ExportFormat format) {
+  const std::vector<FrameRow> frames = ThatCount(all);
   if (frames.empty()) return {};
   constexpr std::array<const char*, 5> kCfa = {"mono", "rggb", "bggr", "grbg", "gbrg"};
   const FrameRecord& first = frames.front().record;
@@ -151,18 +191,19 @@ std::string ImportToml(const SessionInfo& info, const std::vector<FrameRow>& fra
     projectors = std::max(projectors, r.projector + 1);
     poses.insert(r.pose);
   }
-  const auto plan =
-      info.plan_json.empty() ? Result<PlanOptions>(Status::NotFound("")) : PlanOptionsFromJson(info.plan_json);
+  const SessionDevices devices = DevicesFor(info, frames);
   char text[160];
   std::string toml =
       "# `stratalux-db import --manifest import.toml` stores these frames as a session again.\n[import]\nrig = " +
       TomlText(info.rig) + "\nkind = \"" + ToString(info.kind) + "\"\n" +
       (info.visitor.empty() ? "" : "visitor = " + TomlText(info.visitor) + "\n");
-  toml += "camera_width = " + std::to_string(width) + "\ncamera_height = " + std::to_string(height) +
+  toml += "camera_width = " + std::to_string(std::max(width, devices.camera_width)) +
+          "\ncamera_height = " + std::to_string(std::max(height, devices.camera_height)) +
           "\nbit_depth = " + std::to_string(BitDepth(first.format)) + "\ncfa = \"" +
           kCfa[static_cast<size_t>(first.cfa)] + "\"\nprojectors = " + std::to_string(projectors) +
-          "\nprojector_width = " + std::to_string(plan.ok() ? plan->projector_width : 8192) +
-          "\nprojector_height = " + std::to_string(plan.ok() ? plan->projector_height : 8192) + "\n";
+          "\nprojector_width = " + std::to_string(devices.projector_width) +
+          "\nprojector_height = " + std::to_string(devices.projector_height) + "\n";
+  if (devices.saturation_dn > 0.0) toml += "saturation = " + std::to_string(std::lround(devices.saturation_dn)) + "\n";
   for (int pose : poses) {
     if (pose < 0) continue;
     const auto any =

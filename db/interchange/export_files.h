@@ -20,7 +20,8 @@ enum class Written { kNow, kBefore };
 // "000012-gray-columns-bit-3-10.png".
 [[nodiscard]] std::string ExportedName(const FrameRow& frame, ExportFormat format);
 [[nodiscard]] std::string FramesJson(const std::vector<FrameRow>& frames, ExportFormat format);
-// The import manifest that reads the folder back; empty where no one manifest can (mixed depths, colour frames).
+// The import manifest that reads the folder's frames that count back; empty where no one manifest can (mixed depths,
+// colour frames).
 [[nodiscard]] std::string ImportToml(const SessionInfo& info, const std::vector<FrameRow>& frames, ExportFormat format);
 
 // Makes the folder of an export of this session, or finds an interrupted one. kUsage for a folder with other files.

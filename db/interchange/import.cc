@@ -106,6 +106,7 @@ Status RefuseForgottenExports(const std::filesystem::path& store, const ImportMa
 
 Result<ImportReport> ImportSession(SessionStore& store, const ImportOptions& options, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(ImportManifest manifest, ReadImportManifest(options));
+  for (const std::string& note : manifest.notes) logger.Warning(note);
   SLX_RETURN_IF_ERROR(RefuseForgottenExports(store.folder(), manifest));
   const auto total = static_cast<int64_t>(manifest.frames.size());
   {

@@ -7,6 +7,7 @@
 #include <iterator>
 #include <map>
 #include <set>
+#include <tuple>
 
 #include "db/interchange/image_file.h"
 #include "shared/config/toml_reader.h"
@@ -68,6 +69,7 @@ Result<Cfa> ParseCfa(const std::string& text) {
 // Fills what all frames share. Getters remember their own complaints until Finish().
 Status ReadHead(TomlTable head, ImportManifest& manifest, FrameRecord& common, Projectors& projectors) {
   std::string kind = "calibration", cfa = "mono", alignment = "high";
+  int saturation_dn = 0;
   for (const char* key : {"rig", "camera_width", "camera_height", "bit_depth", "projector_width", "projector_height"})
     head.Require(key);
   head.Get("rig", manifest.info.rig);
@@ -82,6 +84,9 @@ Status ReadHead(TomlTable head, ImportManifest& manifest, FrameRecord& common, P
   head.Get("projector_width", projectors.width, 16, 8192);
   head.Get("projector_height", projectors.height, 16, 8192);
   head.Get("exposure_ms", common.exposure_ms, 0.0, 10000.0);
+  head.Get("saturation", saturation_dn, 16, 65535);
+  manifest.info.devices = {manifest.camera_width, manifest.camera_height, projectors.width, projectors.height,
+                           static_cast<double>(saturation_dn)};
 
   const auto parsed_kind = ParseSessionKind(kind);
   if (!parsed_kind.ok()) return At(head, "kind", parsed_kind.status().message());
@@ -92,19 +97,15 @@ Status ReadHead(TomlTable head, ImportManifest& manifest, FrameRecord& common, P
   if (alignment != "high" && alignment != "low")
     return At(head, "alignment", "'" + alignment + "' is unknown; allowed: high, low");
   manifest.alignment = alignment == "high" ? SampleAlignment::kHigh : SampleAlignment::kLow;
-  switch (manifest.bit_depth) {
-    case 8:
-      common.format = PixelFormat::kMono8;
-      return Status::Ok();
-    case 12:
-      common.format = PixelFormat::kMono12;
-      return Status::Ok();
-    case 16:
-      common.format = PixelFormat::kMono16;
-      return Status::Ok();
-    default:
-      return At(head, "bit_depth", std::to_string(manifest.bit_depth) + " is not 8, 12 or 16");
-  }
+  const std::map<int, PixelFormat> formats = {
+      {8, PixelFormat::kMono8}, {12, PixelFormat::kMono12}, {16, PixelFormat::kMono16}};
+  const auto format = formats.find(manifest.bit_depth);
+  if (format == formats.end()) return At(head, "bit_depth", std::to_string(manifest.bit_depth) + " is not 8, 12 or 16");
+  common.format = format->second;
+  if (saturation_dn > FullScaleDn(common.format))
+    return At(head, "saturation",
+              std::to_string(saturation_dn) + " exceeds the levels of " + std::to_string(manifest.bit_depth) + " bits");
+  return Status::Ok();
 }
 
 Result<std::vector<Pose>> ReadPoses(std::vector<TomlTable> tables, const ImportManifest& manifest) {
@@ -139,6 +140,20 @@ std::string Numbered(const std::string& sequence, int number) {
   return sequence.substr(0, first) + digits + sequence.substr(last);
 }
 
+// A code of fewer bits would be read as if it numbered every column: too few, and all of them wrong.
+Status CheckBits(const TomlTable& table, const std::string& key, const Pattern& pattern, const Projectors& projectors) {
+  if (pattern.kind != PatternKind::kGray) return Status::Ok();
+  const bool columns = pattern.axis == PatternAxis::kColumns;
+  const int extent = columns ? projectors.width : projectors.height;
+  const int needed = GrayBits(extent);
+  if (pattern.bits >= needed) return Status::Ok();
+  return At(table, key,
+            "pattern '" + pattern.ToString() + "' is of a code of " + std::to_string(pattern.bits) + " bits, " +
+                std::to_string(extent) + (columns ? " columns" : " rows") + " need " + std::to_string(needed) +
+                "; name the planes bit=0/" + std::to_string(needed) +
+                " and on, or as the projector's size the part of it that shows them");
+}
+
 Status AddShot(const TomlTable& table, const std::string& key, const std::string& file, const std::string& pattern,
                const std::string& phase, const Projectors& projectors, Shot shot, std::vector<Shot>& shots) {
   if (file.find('\0') != std::string::npos) return At(table, key, "a file's name holds no zero byte");
@@ -146,6 +161,7 @@ Status AddShot(const TomlTable& table, const std::string& key, const std::string
   if (!parsed.ok()) return At(table, key, parsed.status().message());
   const Status fits = parsed->Validate(projectors.width, projectors.height);
   if (!fits.ok()) return At(table, key, fits.message());
+  SLX_RETURN_IF_ERROR(CheckBits(table, key, *parsed, projectors));
   shot.record.pattern = *parsed;
   shot.record.phase = PhaseOf(parsed->kind);
   if (!phase.empty()) {
@@ -224,6 +240,34 @@ class ShotsOfPoses {
   std::map<int, std::vector<size_t>> of_one_;
 };
 
+// A pattern that two frames of a pose show is read once: the last would stand for all of them, and nobody would know.
+// White and black may be repeated, since most stages take their mean; of the reference phase, decoding reads one.
+class RepeatedFrames {
+ public:
+  Status Add(const ImportFrame& frame, std::vector<std::string>& notes) {
+    const FrameRecord& r = frame.record;
+    const auto [first, fresh] = seen_.try_emplace(
+        {r.projector, static_cast<int>(r.phase), r.pattern.ToString(), r.pose, r.bracket}, frame.where);
+    if (fresh) return Status::Ok();
+    const std::string what = "'" + r.pattern.ToString() + "' of projector " + std::to_string(r.projector) +
+                             (r.pose >= 0 ? ", pose " + std::to_string(r.pose) : "") + ", phase " + ToString(r.phase);
+    const bool white = r.pattern.kind == PatternKind::kWhite, black = r.pattern.kind == PatternKind::kBlack;
+    if (!white && !black)
+      return Status::Usage(frame.where + ": " + what + " is listed at " + first->second +
+                           ", too; name each frame once (another exposure of it is another bracket)");
+    // Of black, decoding takes the mean where poses are not numbered.
+    if (r.phase == CapturePhase::kReference && (white || r.pose >= 0) && warned_.insert(first->first).second)
+      notes.push_back(frame.where + ": " + what + " is listed at " + first->second +
+                      ", too; decoding and boards read the last one alone");
+    return Status::Ok();
+  }
+
+ private:
+  using Key = std::tuple<int, int, std::string, int, int>;  // projector, phase, pattern, pose, bracket
+  std::map<Key, std::string> seen_;                         // where it was first
+  std::set<Key> warned_;
+};
+
 ImportFrame FrameOf(const Shot& shot, const Pose& pose, const std::filesystem::path& root) {
   ImportFrame frame{root / pose.folder / shot.file, shot.where, shot.record};
   frame.record.pose = pose.index;
@@ -254,13 +298,17 @@ Result<ImportManifest> ReadImportManifest(const ImportOptions& options) {
 
   const auto root = options.root.empty() ? options.manifest.parent_path() : options.root;
   const ShotsOfPoses shots_of(shots);
+  RepeatedFrames repeated;
   for (const Pose& pose : *poses) {
     if (options.pose && *options.pose != pose.index) continue;
     const auto of_pose = shots_of.Of(pose.index);
     if (manifest.frames.size() + of_pose.size() > kMostFrames)
       return Status::Usage(options.manifest.string() + ": names more than " + std::to_string(kMostFrames) +
                            " frames, poses times files; import some poses at a time (--pose)");
-    for (const size_t shot : of_pose) manifest.frames.push_back(FrameOf(shots[shot], pose, root));
+    for (const size_t shot : of_pose) {
+      manifest.frames.push_back(FrameOf(shots[shot], pose, root));
+      SLX_RETURN_IF_ERROR(repeated.Add(manifest.frames.back(), manifest.notes));
+    }
   }
   if (manifest.frames.empty())
     return Status::Usage(options.manifest.string() + ": has no pose " + std::to_string(options.pose.value_or(-1)));

@@ -23,11 +23,12 @@ struct ImportFrame {
 };
 
 struct ImportManifest {
-  SessionInfo info;  // kind, rig, visitor
+  SessionInfo info;  // kind, rig, visitor, devices
   int camera_width = 0, camera_height = 0;
   int bit_depth = 8;  // 8, 12 or 16: bits that a sample of the files means
   SampleAlignment alignment = SampleAlignment::kHigh;
   std::vector<ImportFrame> frames;  // pose by pose, in the order of the entries
+  std::vector<std::string> notes;   // what is taken and may not be meant, for a warning
 };
 
 struct ImportOptions {
@@ -37,7 +38,8 @@ struct ImportOptions {
 };
 
 // kUsage with file:line for unreadable manifests, unknown keys, wrong types, values out of range and patterns that the
-// projector cannot show. Opens no image file.
+// projector cannot show, whose code numbers fewer columns than it has, or that two frames of a pose show (but for white
+// and black). Opens no image file.
 [[nodiscard]] Result<ImportManifest> ReadImportManifest(const ImportOptions& options);
 
 }  // namespace stratalux::db

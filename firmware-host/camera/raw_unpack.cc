@@ -59,7 +59,7 @@ Result<Image<uint16_t>> UnpackRaw(std::span<const uint8_t> bytes, const RawForma
                              " bytes, the buffer holds " + std::to_string(bytes.size()));
   Image<uint16_t> image(width, height);
   const auto mask = static_cast<uint16_t>((1U << format.bits) - 1);
-  const int shift = format.bits < 12 ? 12 - format.bits : 0;
+  const int shift = format.UpShift();
   for (int y = 0; y < height; ++y) {
     UnpackRow(format, bytes.data() + static_cast<size_t>(y) * stride, width, image.row(y));
     for (int x = 0; x < width; ++x) image(x, y) = static_cast<uint16_t>((image(x, y) & mask) << shift);

@@ -27,6 +27,9 @@ struct RawFormat {
 
   // Up to 12 bits: kMono12, values moved to its upper bits (a 10-bit 1023 is 4092), as the simulated sensor does.
   [[nodiscard]] PixelFormat pixel_format() const { return bits <= 12 ? PixelFormat::kMono12 : PixelFormat::kMono16; }
+  // By which UnpackRaw moves values up, and the highest sample that it makes so.
+  [[nodiscard]] int UpShift() const { return bits < 12 ? 12 - bits : 0; }
+  [[nodiscard]] double FullScaleDn() const { return ((1 << bits) - 1) << UpShift(); }
 };
 
 // Bytes of a row without padding.

@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "db/catalogue/consent.h"
+#include "firmware-host/camera/raw_format.h"
 #include "firmware-host/recording/session_archive.h"
 #include "firmware-host/sequence/dark_on_exception.h"
 #include "firmware-host/sequence/realtime.h"
@@ -186,20 +187,28 @@ SequencerOptions CaptureStation::SequencerOptionsFor() const {
   options.max_on_time = FromMilliseconds(1000.0 * config.max_on_time_s);
   options.max_retries = config.max_retries;
   options.shooter.wait = rig_.wait();
-  double saturation_dn = config.camera.saturation_dn, read_noise_dn = config.camera.read_noise_dn;
+  double read_noise_dn = config.camera.read_noise_dn;
   options.witness.gain_e_per_dn = config.camera.gain_e_per_dn;
   if (rig_.simulation) {
     options.shooter.camera = CameraTimingOf(rig_.simulation->timing(), options.shooter.camera);
     const CameraCalibration& camera = rig_.simulation->calibration().camera;
     options.witness.gain_e_per_dn = camera.gain_e_per_dn;
     read_noise_dn = options_.simulated->noise ? std::max(read_noise_dn, camera.read_noise_dn) : 0.0;
-    saturation_dn = camera.saturation_dn;
     for (const ProjectorCalibration& p : rig_.simulation->calibration().projectors)
       options.witness.sinusoid_mean.push_back(SinusoidMean(p));
   }
   options.witness.read_noise_dn = read_noise_dn;
-  options.witness.saturation_dn = 0.975 * saturation_dn;
+  options.witness.saturation_dn = 0.975 * SaturationDn();
   return options;
+}
+
+double CaptureStation::SaturationDn() const {
+  if (rig_.simulation) return rig_.simulation->calibration().camera.saturation_dn;
+  const CameraWiring& camera = options_.config.camera;
+  std::optional<RawFormat> raw = RawFormatOf(camera.format);
+  if (const auto stream = StreamFormatOf(camera.format); camera.backend == CameraBackend::kLibcamera && stream)
+    raw = stream->raw;
+  return raw ? std::min(camera.saturation_dn, raw->FullScaleDn()) : camera.saturation_dn;
 }
 
 SessionInfo CaptureStation::Describe(const CaptureRequest& request, std::string calibration_json) const {
@@ -216,6 +225,7 @@ SessionInfo CaptureStation::Describe(const CaptureRequest& request, std::string 
   info.simulated = rig_.simulation != nullptr;
   if (info.simulated) info.seed = options_.simulated->seed;
   info.calibration_json = std::move(calibration_json);
+  info.devices.saturation_dn = SaturationDn();
   return info;
 }
 

@@ -132,6 +132,8 @@ class CaptureStation {
   CaptureStation(StationOptions options, OpenedRig rig, StopToken& stop, Logger& logger);
   Status OpenStore();
   [[nodiscard]] SequencerOptions SequencerOptionsFor() const;
+  // As configured, and no more than a format that is named can hold.
+  [[nodiscard]] double SaturationDn() const;
   [[nodiscard]] SessionInfo Describe(const CaptureRequest& request, std::string calibration_json) const;
   // Sequencer, recorder and archive over one session.
   CaptureReport Record(const CapturePlan& plan, db::SessionWriter writer, const CaptureRequest& request,

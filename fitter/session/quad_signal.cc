@@ -8,10 +8,19 @@
 
 namespace stratalux::fit {
 
+double SaturationOf(const SessionFrames& frames) {
+  const double told = frames.info().devices.saturation_dn;
+  return told > 0.0 || frames.rows().empty() ? told : FullScaleDn(frames.rows()[0].record.format);
+}
+
 SensorNoise NoiseOf(const SessionFrames& frames) {
   if (frames.calibration()) return SensorNoise::From(frames.calibration()->camera);
-  const bool eight_bit = frames.rows()[0].record.format == PixelFormat::kMono8;
-  return {0.0, eight_bit ? 255.0 : 4095.0, eight_bit ? 20.0 : 4.0, eight_bit ? 1.0 : 3.0};
+  const double saturation = SaturationOf(frames);
+  if (frames.rows()[0].record.format == PixelFormat::kMono8) return {0.0, saturation, 20.0, 1.0};
+  // A sensor of 4 electrons a digital number of 12 bits and a read noise of 12 electrons, in whatever numbers its range
+  // is told.
+  const double dn_per_dn12 = saturation / FullScaleDn(PixelFormat::kMono12);
+  return {0.0, saturation, 4.0 / dn_per_dn12, 3.0 * dn_per_dn12};
 }
 
 Image<float> QuadSignal(ImageView<const uint16_t> raw, ImageView<const float> dark, const CameraCalibration& camera) {

@@ -7,7 +7,11 @@
 
 namespace stratalux::fit {
 
-// Noise of a session's frames: from its own calibration, or what an import's bit depth implies.
+// Raw level from which on a session's samples are saturated, whatever its calibration says: as its manifest tells, else
+// the highest of its frames' format. 0: it has no frames.
+[[nodiscard]] double SaturationOf(const SessionFrames& frames);
+
+// Noise of a session's frames: from its own calibration, or what SaturationOf implies. Precondition: it has frames.
 [[nodiscard]] SensorNoise NoiseOf(const SessionFrames& frames);
 
 // Mean over each quad's sites of a colour of (raw - dark), digital numbers; NaN where a site is saturated.

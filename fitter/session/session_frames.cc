@@ -75,6 +75,7 @@ Result<SessionFrames> SessionFrames::Open(const std::string& store_folder, const
   SLX_ASSIGN_OR_RETURN(auto store, db::SessionStore::Open(store_folder, db::AccessMode::kReadWrite));
   SLX_ASSIGN_OR_RETURN(auto session, store.FindSession(selector));
   const std::string where = "session " + session.info.id;
+  session.info.devices = store.DevicesOf(session.info.id);
   SessionFrames frames(std::move(store), std::move(session));
   const SessionInfo& info = frames.session_.info;
   if (!info.plan_json.empty()) {

@@ -41,6 +41,15 @@ struct RetentionDays {
   int long_days = 10 * 365;  // a study
 };
 
+// What was known of the devices when a session began and no frame says; 0: not known.
+struct SessionDevices {
+  int camera_width = 0, camera_height = 0;        // of the full frame, px, of which an import's frames may be crops
+  int projector_width = 0, projector_height = 0;  // px; a plan has its own
+  double saturation_dn = 0.0;                     // raw levels at or above are saturated
+
+  friend bool operator==(const SessionDevices&, const SessionDevices&) = default;
+};
+
 struct SessionInfo {
   std::string id;  // given by the store
   SessionKind kind = SessionKind::kVisitor;
@@ -57,6 +66,7 @@ struct SessionInfo {
   std::string visit;                 // names the visit that its attempts share; empty: not one of several
   int attempt = 0;                   // of the visit, from 1; 0: not counted
   CaptureFindings found;             // what the capture saw, as data
+  SessionDevices devices;            // in the manifest; rows of the index have none (SessionStore::DevicesOf)
   std::string program_version;
   std::string plan_json;         // PlanOptionsToJson, empty for imports
   std::string calibration_json;  // RigCalibration::ToJson, empty when unknown

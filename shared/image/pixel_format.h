@@ -26,6 +26,8 @@ enum class Cfa : uint16_t { kMono = 0, kRggb = 1, kBggr = 2, kGrbg = 3, kGbrg = 
          : format == PixelFormat::kMono16 ? 16
                                           : 32;
 }
+// The highest raw level of a format; kF32 has none.
+[[nodiscard]] constexpr double FullScaleDn(PixelFormat format) { return double((uint64_t{1} << BitDepth(format)) - 1); }
 // Colour (0 R, 1 G, 2 B; always 0 for mono) that the pixel (x, y) sees.
 [[nodiscard]] constexpr int CfaColour(Cfa cfa, int x, int y) {
   constexpr int kColours[5][4] = {{0, 0, 0, 0}, {0, 1, 1, 2}, {2, 1, 1, 0}, {1, 0, 2, 1}, {1, 2, 0, 1}};

@@ -234,12 +234,17 @@ TEST_F(SessionStoreTest, KeepsWhatASessionSaysOfItselfInIndexAndManifest) {
   info.plan_json = PlanOptionsToJson({});
   info.visit = "2026-03-07/12";
   info.attempt = 2;
+  info.devices = {1392, 1042, 1280, 800, 4092.0};
   auto writer = store.BeginSession(info);
   ASSERT_TRUE(writer.ok());
   ASSERT_TRUE(writer->Finish(SessionStatus::kDegraded, {"step 3 has no frame"}, SomeFindings()).ok());
   const auto row = store.FindSession(writer->info().id);
   const auto manifest = ReadManifest(store.SessionFolder(writer->info().id));
   ASSERT_TRUE(row.ok() && manifest.ok()) << manifest.status().message();
+  EXPECT_EQ(manifest->devices, info.devices);
+  EXPECT_EQ(store.DevicesOf(row->info.id), info.devices);
+  std::filesystem::remove(store.SessionFolder(row->info.id) / "manifest.json");
+  EXPECT_EQ(store.DevicesOf(row->info.id), SessionDevices{}) << "nothing is known without a manifest";
   for (const SessionInfo* read : {&row->info, &*manifest}) {
     EXPECT_EQ(read->id, writer->info().id);
     EXPECT_EQ(read->kind, info.kind);
@@ -259,6 +264,21 @@ TEST_F(SessionStoreTest, KeepsWhatASessionSaysOfItselfInIndexAndManifest) {
     EXPECT_EQ(read->program_version, info.program_version);
     EXPECT_TRUE(PlanOptionsFromJson(read->plan_json).ok());
   }
+}
+
+TEST(SessionDevices, AreReadBackAndNothingElseIs) {
+  for (const SessionDevices& devices :
+       {SessionDevices{}, SessionDevices{.projector_width = 1280, .projector_height = 800},
+        SessionDevices{.saturation_dn = 65535.0}}) {
+    const auto back = DevicesFromJson(DevicesToJson(devices));
+    ASSERT_TRUE(back.ok()) << back.status().message();
+    EXPECT_EQ(*back, devices);
+  }
+  EXPECT_EQ(DevicesToJson({}), "{}");
+  for (const char* text : {"[]", "", R"({"camera_width":0})", R"({"camera_height":-3})", R"({"projector_width":3.5})",
+                           R"({"projector_height":1e9})", R"({"projector_height":70000})", R"({"saturation_dn":0})",
+                           R"({"saturation_dn":"4095"})", R"({"saturation_dn":65536})"})
+    EXPECT_EQ(DevicesFromJson(text).status().code(), StatusCode::kIntegrity) << text;
 }
 
 TEST_F(SessionStoreTest, SelectsByIdUniquePrefixAndLatest) {
@@ -304,7 +324,9 @@ TEST_F(SessionStoreTest, AnAbandonedSessionBecomesFailedAndKeepsWhatWasAcknowled
   std::string id;
   {
     SessionStore store = OpenStore();
-    auto writer = store.BeginSession(SimulatedVisit(), Groups(2));
+    SessionInfo info = SimulatedVisit();
+    info.devices.saturation_dn = 4092.0;
+    auto writer = store.BeginSession(info, Groups(2));
     ASSERT_TRUE(writer.ok());
     id = writer->info().id;
     for (int i = 0; i < 5; ++i) ASSERT_TRUE(AppendTo(*writer, i).ok());
@@ -321,6 +343,7 @@ TEST_F(SessionStoreTest, AnAbandonedSessionBecomesFailedAndKeepsWhatWasAcknowled
   const auto manifest = ReadManifest(store.SessionFolder(id));
   ASSERT_TRUE(manifest.ok()) << manifest.status().message();
   EXPECT_EQ(manifest->status, SessionStatus::kFailed);
+  EXPECT_EQ(manifest->devices.saturation_dn, 4092.0);
   const auto row = store.FindSession(id);
   EXPECT_EQ(row->info.status, SessionStatus::kFailed);
   ASSERT_EQ(row->info.reasons.size(), 1U);

@@ -79,6 +79,7 @@ std::string CrateTest::Visit() {
   info.calibration_json = SomeCalibration().ToJson();
   info.visit = "evening";
   info.attempt = 2;
+  info.devices = {50, 40, 1280, 800, 4092.0};
   auto writer = store.BeginSession(info);
   EXPECT_TRUE(writer.ok()) << writer.status().message();
   for (int i = 0; i < 4; ++i) EXPECT_TRUE(AppendFrame(*writer, i, PixelFormat::kMono12, 40, 30).ok());

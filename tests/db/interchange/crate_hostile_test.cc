@@ -184,6 +184,15 @@ TEST_F(HostileCrates, OddFactsAreRefused) {
     ExpectRefused(StatusCode::kIntegrity, "session.json");
     WriteText(file, before);
   }
+  // Of sessions of which they are known.
+  for (const ordered_json& devices : {ordered_json(), ordered_json::array({1}), ordered_json{{"projector_width", -5}},
+                                      ordered_json{{"saturation_dn", "4095"}}}) {
+    Edit(file, [&](auto& json) { json["devices"] = devices; });
+    Reseal();
+    SCOPED_TRACE("devices = " + devices.dump());
+    ExpectRefused(StatusCode::kIntegrity, "session.json");
+    WriteText(file, before);
+  }
 }
 
 // Crates of before schema 2 know neither visits nor findings.

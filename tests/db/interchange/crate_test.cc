@@ -69,6 +69,8 @@ TEST_P(BothFormats, GiveTheSamePixelsAndRowsBack) {
     SCOPED_TRACE(id);
     ExpectSameSession(id);
   }
+  const SessionDevices devices = SessionStore::Open(other_, AccessMode::kReadOnly)->DevicesOf(visit);
+  EXPECT_EQ(devices, (SessionDevices{50, 40, 1280, 800, 4092.0}));
   for (const char* file : {"frames-0001.seg", "frames-0002.seg"})
     EXPECT_EQ(ReadBytes(other_ / "sessions" / flats / file), ReadBytes(folder_ / "sessions" / flats / file)) << file;
   for (const char* map : {"depth", "subsurface stripe 2"})

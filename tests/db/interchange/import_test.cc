@@ -7,6 +7,7 @@
 
 #include "db/apps/extract.h"
 #include "db/care/verify.h"
+#include "db/interchange/export.h"
 #include "shared/image/png.h"
 #include "tests/db/store_fixture.h"
 
@@ -111,6 +112,62 @@ TEST_F(ImportTest, StoresEachFileOfEachPoseWithWhatTheManifestSays) {
     EXPECT_NEAR(r.mean_dn, (199.0 * static_cast<double>(i + 1) + 200.0) / 200.0, 1e-9);
   }
   EXPECT_THAT(VerifySession(store, *row)->problems, IsEmpty());
+}
+
+TEST_F(ImportTest, KeepsTheSizesOfTheDevices) {
+  const std::string head = std::string(kHead) + "saturation = 250\n";
+  const auto report = Import(head + kPoses + kFiles);
+  ASSERT_TRUE(report.ok()) << report.status().message();
+  SessionStore store = OpenStore();
+  EXPECT_EQ(store.DevicesOf(report->session), (SessionDevices{40, 30, 64, 48, 250.0}));
+  // And so do its export and whatever is made of that.
+  const auto row = store.FindSession(report->session);
+  ASSERT_TRUE(ExportSession(store, *row, {folder_ / "out", ExportFormat::kPng, {}, {}}, logger_).ok());
+  const auto again = ImportSession(store, {folder_ / "out" / "import.toml", {}, {}}, logger_);
+  ASSERT_TRUE(again.ok()) << again.status().message();
+  EXPECT_EQ(store.DevicesOf(again->session), (SessionDevices{40, 30, 64, 48, 250.0}));
+}
+
+TEST_F(ImportTest, RefusesASaturationBeyondTheBitDepth) {
+  ExpectRefused(std::string(kHead) + "saturation = 256\n" + kFiles,
+                "m.toml:8: saturation: 256 exceeds the levels of 8 bits");
+}
+
+// Read as if it numbered all columns it would send them to the first quarter, and nobody would be told.
+TEST_F(ImportTest, RefusesACodeOfFewerBitsThanTheProjectorNeeds) {
+  ExpectRefused(std::string(kHead) + "[[file]]\nfile = \"w\"\npattern = \"gray columns bit=0/4\"",
+                "m.toml:10: pattern: pattern 'gray columns bit=0/4' is of a code of 4 bits, 64 columns need 6");
+  ExpectRefused(std::string(kHead) + "[[file]]\nsequence = \"g#.png\"\npatterns = [\"gray rows bit=4/5\"]",
+                "of a code of 5 bits, 48 rows need 6");
+}
+
+TEST_F(ImportTest, RefusesAPatternThatIsListedTwice) {
+  const std::string twice = "[[file]]\nfile = \"g10.png\"\npattern = \"gray columns bit=0/6\"\n";
+  ExpectRefused(std::string(kHead) + kPoses + kFiles + twice,
+                "m.toml:24: 'gray columns bit=0/6' of projector 0, pose 4, phase correspondence is listed at");
+  // Of another bracket, projector or phase it is another frame.
+  for (const char* other : {"bracket = 1\n", "phase = \"repeat\"\n"})
+    EXPECT_TRUE(Import(std::string(kHead) + kPoses + kFiles + twice + other).ok()) << other;
+}
+
+TEST_F(ImportTest, WarnsOfWhiteThatIsReadOnceAndListedTwice) {
+  const std::string white = "[[file]]\nfile = \"white.png\"\npattern = \"white\"\n",
+                    black = "[[file]]\nfile = \"white.png\"\npattern = \"black\"\n";
+  const auto notes = [&](const std::string& text) {
+    WriteText(files_() / "m.toml", text);
+    const auto manifest = ReadImportManifest({files_() / "m.toml", {}, {}});
+    EXPECT_TRUE(manifest.ok()) << manifest.status().message();
+    return manifest.ok() ? manifest->notes : std::vector<std::string>();
+  };
+  EXPECT_THAT(notes(std::string(kHead) + kPoses + kFiles + black), IsEmpty());
+  const auto whites = notes(std::string(kHead) + kPoses + kFiles + white + white);
+  ASSERT_EQ(whites.size(), 2U) << "one a pose";
+  EXPECT_THAT(whites[1], HasSubstr("'white' of projector 0, pose 7, phase reference is listed at"));
+  EXPECT_THAT(whites[1], HasSubstr("read the last one alone"));
+  EXPECT_EQ(notes(std::string(kHead) + kPoses + kFiles + black + black).size(), 2U);
+  // Where poses are not numbered, and in other phases, stages take the mean of all.
+  EXPECT_THAT(notes(std::string(kHead) + black + black), IsEmpty());
+  EXPECT_THAT(notes(std::string(kHead) + white + "phase = \"motion\"\n" + white + "phase = \"motion\"\n"), IsEmpty());
 }
 
 TEST_F(ImportTest, TakesOnePoseAlone) {

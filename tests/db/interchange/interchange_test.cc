@@ -100,13 +100,13 @@ TEST_F(InterchangeTest, NoCutAndNoFlippedByteCrashesAReader) {
 }
 
 TEST_F(InterchangeTest, AnExportReadBackHoldsTheSameFrames) {
-  const std::string id = StoreSession(5);
+  const std::string id = StoreSession(4);  // one a projector
   for (const ExportFormat format : {ExportFormat::kPng, ExportFormat::kTiff}) {
     SessionStore store = OpenStore();
     const auto out = folder_ / (format == ExportFormat::kPng ? "png" : "tiff");
     const auto report = ExportSession(store, *store.FindSession(id), {out, format, {}, {}}, logger_);
     ASSERT_TRUE(report.ok()) << report.status().message();
-    EXPECT_EQ(report->written, 5);
+    EXPECT_EQ(report->written, 4);
     const auto imported = ImportSession(store, {out / "import.toml", {}, {}}, logger_);
     ASSERT_TRUE(imported.ok()) << imported.status().message();
     const auto before = *store.ListFrames(id), after = *store.ListFrames(imported->session);
@@ -119,6 +119,44 @@ TEST_F(InterchangeTest, AnExportReadBackHoldsTheSameFrames) {
       EXPECT_EQ(after[i].record.pose, before[i].record.pose);
     }
   }
+}
+
+// Whose manifest would otherwise be refused, or count what the capture did not.
+TEST_F(InterchangeTest, OfStepsThatWereShotAgainAnExportNamesTheLastGoodShot) {
+  std::string id;
+  {
+    SessionStore store = OpenStore();
+    SessionInfo info;
+    info.kind = SessionKind::kCalibration;
+    auto writer = store.BeginSession(info);
+    ASSERT_TRUE(writer.ok());
+    int shots = 0;
+    for (const auto& [step, level_check] : {std::pair{0, LevelCheck::kPassed},
+                                            {0, LevelCheck::kPassed},
+                                            {0, LevelCheck::kFailed},
+                                            {1, LevelCheck::kPassed}}) {
+      FrameRecord record = RecordFor(step, PixelFormat::kMono12, 6, 4);
+      record.pattern = {.kind = PatternKind::kGray, .bit = step, .bits = 6};
+      record.phase = CapturePhase::kCorrespondence;
+      record.projector = 0;
+      record.level_check = level_check;
+      ++shots;
+      const Image<uint16_t> pixels = PixelsFor(RecordFor(shots, record.format, 6, 4));
+      ASSERT_TRUE(writer->Append(record, pixels.view()).ok());
+    }
+    ASSERT_TRUE(writer->Finish(SessionStatus::kComplete).ok());
+    id = writer->info().id;
+  }
+  SessionStore store = OpenStore();
+  const auto out = folder_ / "again";
+  ASSERT_TRUE(ExportSession(store, *store.FindSession(id), {out, ExportFormat::kPng, {}, {}}, logger_).ok());
+  const auto imported = ImportSession(store, {out / "import.toml", {}, {}}, logger_);
+  ASSERT_TRUE(imported.ok()) << imported.status().message();
+  const auto before = *store.ListFrames(id), after = *store.ListFrames(imported->session);
+  ASSERT_EQ(after.size(), 2U);
+  EXPECT_EQ(after[0].hash, before[1].hash);
+  EXPECT_EQ(after[1].hash, before[3].hash);
+  EXPECT_EQ(store.DevicesOf(imported->session).projector_width, 64) << "all that a code of 6 bits can number";
 }
 
 TEST_F(InterchangeTest, AnExportGoesOnWhereItWasCutAndReplacesNothing) {

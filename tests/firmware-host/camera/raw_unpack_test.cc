@@ -92,5 +92,18 @@ TEST(RawFormat, MosaicsKnowTheirOrder) {
   EXPECT_EQ(RawFormatOf("RG16")->pixel_format(), PixelFormat::kMono16);
 }
 
+// Sensors of few bits never reach the 4095 of the numbers that their samples are moved to.
+TEST(UnpackRaw, TheHighestSampleIsTheFormatsFullScale) {
+  const std::vector<uint8_t> ones(64, 0xff);
+  for (const auto& [name, full_dn] : {std::pair{"GREY", 4080.0}, {"Y10", 4092.0}, {"Y12", 4095.0}, {"Y16", 65535.0}}) {
+    const auto format = RawFormatOf(name);
+    ASSERT_TRUE(format.has_value()) << name;
+    EXPECT_EQ(format->FullScaleDn(), full_dn) << name;
+    const auto image = UnpackRaw(ones, *format, 4, 1, RowBytes(*format, 4));
+    ASSERT_TRUE(image.ok()) << image.status().message();
+    EXPECT_EQ((*image)(1, 0), full_dn) << name;
+  }
+}
+
 }  // namespace
 }  // namespace stratalux::rig

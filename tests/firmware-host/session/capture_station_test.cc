@@ -67,6 +67,19 @@ TEST_F(CaptureStationTest, OneRigAndStoreServeManyVisits) {
   EXPECT_EQ(std::unique(sessions.begin(), sessions.end()), sessions.end());
 }
 
+// A calibration of such sessions takes it from there: their frames do not say how many bits the sensor has.
+TEST_F(CaptureStationTest, SessionsSayWhereTheirSensorSaturates) {
+  for (const auto& [bits, saturation_dn] : {std::pair{12, 4095.0}, {10, 4092.0}}) {
+    options_.simulated->devices.camera.bits = bits;
+    const auto station = Open();
+    const auto outcome = station->Capture(request_);
+    ASSERT_TRUE(outcome.ok()) << outcome.status().message();
+    const auto store = db::SessionStore::Open(folder_ / "store", db::AccessMode::kReadOnly);
+    ASSERT_TRUE(store.ok()) << store.status().message();
+    EXPECT_EQ(store->DevicesOf(outcome->session).saturation_dn, saturation_dn);
+  }
+}
+
 TEST_F(CaptureStationTest, WhatCannotBeginLeavesNoStore) {
   request_.visit = "caf\xe9";
   EXPECT_EQ(CaptureStation::MayBegin(options_, request_).code(), StatusCode::kUsage) << "no text";
