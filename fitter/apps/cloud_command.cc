@@ -14,6 +14,7 @@
 #include "fitter/export/ply_file.h"
 #include "fitter/session/choose_session.h"
 #include "fitter/stages/cloud.h"
+#include "fitter/stages/decode.h"
 #include "shared/base/read_file.h"
 #include "shared/base/standard_output.h"
 
@@ -86,6 +87,8 @@ Status Cloud(const CloudFlags& f, Logger& logger) {
   std::vector<CodedCloud> clouds;  // all of them before any is written: one that cannot be made leaves no others
   for (const int pose : poses) {
     SLX_ASSIGN_OR_RETURN(auto made, CloudFromCodes(frames, pose, record));
+    for (const int projector : made.projectors)
+      if (const std::string note = UnreadSinusoids(frames, projector, pose); !note.empty()) logger.Warning(note);
     clouds.push_back(std::move(made));
   }
   auto results = nlohmann::ordered_json::array();

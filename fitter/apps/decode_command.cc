@@ -5,7 +5,9 @@
 #include <filesystem>
 #include <fstream>
 #include <iomanip>
+#include <map>
 #include <memory>
+#include <optional>
 #include <sstream>
 
 #include <CLI/CLI.hpp>
@@ -17,6 +19,7 @@
 #include "fitter/export/pictures.h"
 #include "fitter/session/choose_session.h"
 #include "fitter/session/quad_signal.h"
+#include "fitter/stages/cloud.h"
 #include "fitter/stages/decode.h"
 #include "fitter/structured_light/local_homography.h"
 #include "shared/base/standard_output.h"
@@ -31,30 +34,54 @@ struct DecodeFlags {
   bool json = false, bits_alone = false;
 };
 
-// Median distance, projector px, between a reference file's corners (pose, board x y, camera u v, projector x y) and
-// our own sub-pixel look-up; -1 when no corner of this pose could be looked up.
-Result<double> CompareCorners(const std::string& file, int pose, const DecodedMap& map, int crop_x, int crop_y,
-                              int& found, int& total) {
+// A board's corner as somebody else decoded it.
+struct ReferenceCorner {
+  Eigen::Vector2d camera_px, projector_px;
+};
+using Reference = std::multimap<int, ReferenceCorner>;  // by pose
+
+// Lines of pose, board x y, camera u v, projector x y. kUsage: it cannot be read, or has no line of one of `poses`.
+Result<Reference> ReadReference(const std::string& file, const std::vector<int>& poses) {
   std::ifstream in(file);
   if (!in) return Status::Usage("cannot read " + file);
-  std::vector<double> errors;
+  Reference reference;
   std::string line;
   for (int number = 1; std::getline(in, line); ++number) {
+    if (line.ends_with('\r')) line.pop_back();
     if (line.empty() || line[0] == '#') continue;
     std::istringstream text(line);
     double v[7];
     for (double& x : v)
       if (!(text >> x)) return Status::Usage(file + ":" + std::to_string(number) + ": expected 7 numbers");
-    if (static_cast<int>(v[0]) != pose) continue;
-    ++total;
-    const auto at = LookUpProjectorPoint(map, Eigen::Vector2d(v[3] - crop_x, v[4] - crop_y));
-    if (!at) continue;
-    ++found;
-    errors.push_back(std::hypot(at->column_row.x() - v[5], at->column_row.y() - v[6]));
+    reference.insert({static_cast<int>(v[0]), {{v[3], v[4]}, {v[5], v[6]}}});
   }
-  if (errors.empty()) return -1.0;
+  for (const int pose : poses)
+    if (!reference.contains(pose))
+      return Status::Usage(file + ": has no line of pose " + std::to_string(pose) +
+                           "; name a pose that it has with --pose, or leave --reference out");
+  return reference;
+}
+
+struct Comparison {
+  int corners = 0, found = 0;
+  std::optional<double> median_px;  // nullopt: none was found
+};
+
+// Distance, projector px, between the corners of a pose and our own sub-pixel look-up.
+Comparison CompareCorners(const Reference& reference, int pose, const DecodedMap& map, const Eigen::Vector2d& crop_px) {
+  Comparison comparison;
+  std::vector<double> errors;
+  const auto [begin, end] = reference.equal_range(pose);
+  for (auto it = begin; it != end; ++it) {
+    ++comparison.corners;
+    const auto at = LookUpProjectorPoint(map, it->second.camera_px - crop_px);
+    if (at) errors.push_back((at->column_row - it->second.projector_px).norm());
+  }
+  comparison.found = static_cast<int>(errors.size());
+  if (errors.empty()) return comparison;
   std::nth_element(errors.begin(), errors.begin() + static_cast<int64_t>(errors.size() / 2), errors.end());
-  return errors[errors.size() / 2];
+  comparison.median_px = errors[errors.size() / 2];
+  return comparison;
 }
 
 // Of the axes that were captured.
@@ -80,7 +107,8 @@ Status WriteMaps(const DecodeFlags& f, const std::string& session, const std::st
   });
 }
 
-Status DecodePose(const SessionFrames& frames, const DecodeFlags& f, int pose, nlohmann::ordered_json& results) {
+Status DecodePose(const SessionFrames& frames, const DecodeFlags& f, int pose, const Reference& reference,
+                  nlohmann::ordered_json& results) {
   const CodeSize code = CodeSizeOf(frames);
   SLX_ASSIGN_OR_RETURN(const auto report,
                        DecodeProjector(frames, f.projector, pose, code.columns, code.rows, NoiseOf(frames),
@@ -93,10 +121,10 @@ Status DecodePose(const SessionFrames& frames, const DecodeFlags& f, int pose, n
       if ((*counts)[bits] > 0) result["trusted_bits"][axis][std::to_string(bits)] = (*counts)[bits];
   if (!f.reference.empty()) {
     const db::FrameRow* row = frames.Find(f.projector, CapturePhase::kReference, {.kind = PatternKind::kWhite}, pose);
-    int found = 0, total = 0;
-    SLX_ASSIGN_OR_RETURN(const double median, CompareCorners(f.reference, pose, report.map, row->record.crop_x,
-                                                             row->record.crop_y, found, total));
-    result["reference"] = {{"corners", total}, {"found", found}, {"median_px", median}};
+    const Comparison c =
+        CompareCorners(reference, pose, report.map, Eigen::Vector2d(row->record.crop_x, row->record.crop_y));
+    result["reference"] = {{"corners", c.corners}, {"found", c.found}, {"median_px", nullptr}};
+    if (c.median_px) result["reference"]["median_px"] = *c.median_px;
   }
   if (!f.out.empty()) {
     const std::string name =
@@ -112,13 +140,30 @@ std::string AsText(const nlohmann::ordered_json& results) {
   for (const auto& r : results) {
     text << "projector " << r["projector"].get<int>() << " pose " << r["pose"].get<int>() << ":";
     for (const auto& [reason, count] : r["pixels"].items()) text << "  " << reason << " " << count.get<int64_t>();
-    if (r.contains("reference"))
-      text << "  reference: " << r["reference"]["found"].get<int>() << " of " << r["reference"]["corners"].get<int>()
-           << " corners, median " << std::fixed << std::setprecision(3) << r["reference"]["median_px"].get<double>()
-           << " px";
+    if (r.contains("reference")) {
+      const auto& reference = r["reference"];
+      text << "  reference: " << reference["found"].get<int>() << " of " << reference["corners"].get<int>()
+           << " corners";
+      if (reference["median_px"].is_number())
+        text << ", median " << std::fixed << std::setprecision(3) << reference["median_px"].get<double>() << " px";
+    }
     text << "\n";
   }
   return text.str();
+}
+
+// That the projector has codes of; the others are named. kNotFound: it has none, or none of the one that is asked for.
+Result<std::vector<int>> PosesOf(const DecodeFlags& f, const SessionFrames& frames, Logger& logger) {
+  const std::string session = "session " + frames.info().id, projector = "projector " + std::to_string(f.projector);
+  std::vector<int> poses = CodedPoses(frames, f.projector);
+  if (f.pose >= 0) std::erase_if(poses, [&](int pose) { return pose != f.pose; });
+  if (poses.empty())
+    return Status::NotFound(session + " has no codes of " + projector +
+                            (f.pose >= 0 ? " in pose " + std::to_string(f.pose) : ""));
+  for (const int pose : frames.poses())
+    if (f.pose < 0 && pose >= 0 && std::ranges::find(poses, pose) == poses.end())
+      logger.Warning(session + ": pose " + std::to_string(pose) + " has no codes of " + projector + " and is left out");
+  return poses;
 }
 
 Status Decode(const DecodeFlags& f, Logger& logger) {
@@ -126,11 +171,17 @@ Status Decode(const DecodeFlags& f, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const auto frames, SessionFrames::Open(f.store, chosen));
   for (const std::string& note : frames.store().notes()) logger.Warning(note);
   if (frames.rows().empty()) return Status::NotFound("session " + frames.info().id + " has no frames");
+  SLX_ASSIGN_OR_RETURN(const std::vector<int> poses, PosesOf(f, frames, logger));
+  Reference reference;
+  if (!f.reference.empty()) {
+    SLX_ASSIGN_OR_RETURN(reference, ReadReference(f.reference, poses));
+  }
   nlohmann::ordered_json results = nlohmann::ordered_json::array();
-  for (int pose : frames.poses())
-    if (f.pose < 0 || pose == f.pose) SLX_RETURN_IF_ERROR(DecodePose(frames, f, pose, results));
-  if (results.empty())
-    return Status::NotFound("session " + frames.info().id + " has no pose " + std::to_string(f.pose));
+  for (const int pose : poses) {
+    if (const std::string note = UnreadSinusoids(frames, f.projector, pose); !note.empty() && !f.bits_alone)
+      logger.Warning(note);
+    SLX_RETURN_IF_ERROR(DecodePose(frames, f, pose, reference, results));
+  }
   return WriteStdout(f.json ? results.dump(1) + "\n" : AsText(results));
 }
 

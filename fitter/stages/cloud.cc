@@ -103,10 +103,11 @@ Result<CodedCloud> CloudOf(const std::vector<DecodedMap>& decoded, CodedRig code
 
 }  // namespace
 
-std::vector<int> CodedPoses(const SessionFrames& frames) {
+std::vector<int> CodedPoses(const SessionFrames& frames, std::optional<int> projector) {
   std::set<int> poses;
   for (const db::FrameRow& row : frames.rows())
-    if (IsCode(row.record)) poses.insert(row.record.pose);
+    if (IsCode(row.record) && row.record.projector == projector.value_or(row.record.projector))
+      poses.insert(row.record.pose);
   return {poses.begin(), poses.end()};
 }
 

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include "fitter/export/triangle_mesh.h"
@@ -21,8 +22,8 @@ struct CodedCloud {
   int64_t unsmoothed = 0;  // quads dropped by SmoothSurface
 };
 
-// The poses of a session that have codes; -1 where they are not numbered.
-[[nodiscard]] std::vector<int> CodedPoses(const SessionFrames& frames);
+// The poses of a session that have codes, of any projector or of one; -1 where they are not numbered.
+[[nodiscard]] std::vector<int> CodedPoses(const SessionFrames& frames, std::optional<int> projector = {});
 
 // Of one pose, by all projectors that show codes in it; frames may be crops of the calibrated camera's picture. Only
 // the record's geometry is used: by what light the frames are read says `frames` (SessionFrames::UseRecord).

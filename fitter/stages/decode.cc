@@ -1,7 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/stages/decode.h"
 
+#include <algorithm>
 #include <optional>
+#include <set>
+#include <utility>
 
 #include "fitter/export/exr_file.h"
 #include "fitter/session/quad_signal.h"
@@ -17,9 +20,54 @@ std::filesystem::path FileOf(const std::filesystem::path& folder, size_t project
   return folder / ("decoded_" + std::to_string(projector) + ".exr");
 }
 
+// Sinusoids of one period along an axis.
+struct SinusoidSet {
+  int period_px = 0, shifts = 0;
+  std::vector<const db::FrameRow*> rows = {};  // of those that were captured, in shift order
+
+  [[nodiscard]] bool IsWhole() const { return shifts > 0 && rows.size() == static_cast<size_t>(shifts); }
+};
+
+void FindShifts(const SessionFrames& frames, int projector, int pose, PatternAxis axis, SinusoidSet& set) {
+  for (int shift = 0; shift < set.shifts; ++shift) {
+    const db::FrameRow* row = frames.Find(
+        projector, CapturePhase::kSeparation,
+        {.kind = PatternKind::kSinusoid, .axis = axis, .period = set.period_px, .shift = shift, .shifts = set.shifts},
+        pose);
+    if (row != nullptr) set.rows.push_back(row);
+  }
+}
+
+// Of the plan, or by what an import shows; the finest whole set first.
+std::vector<SinusoidSet> SinusoidSets(const SessionFrames& frames, int projector, int pose, PatternAxis axis) {
+  std::set<std::pair<int, int>> kinds;  // period; shifts, most first
+  if (frames.plan()) {
+    kinds.emplace(frames.plan()->separation_period, -frames.plan()->separation_shifts);
+  } else {
+    for (const db::FrameRow& row : frames.rows()) {
+      const FrameRecord& r = row.record;
+      if (r.projector == projector && r.pose == pose && r.phase == CapturePhase::kSeparation &&
+          r.pattern.kind == PatternKind::kSinusoid && r.pattern.axis == axis)
+        kinds.emplace(r.pattern.period, -r.pattern.shifts);
+    }
+  }
+  std::vector<SinusoidSet> sets;
+  for (const auto& [period, shifts] : kinds)
+    FindShifts(frames, projector, pose, axis, sets.emplace_back(SinusoidSet{period, -shifts}));
+  std::ranges::stable_partition(sets, &SinusoidSet::IsWhole);
+  return sets;
+}
+
+// That the codes are refined by: of equal steps, so that one that lacks a shift is none. The bits alone are read then.
+SinusoidSet SinusoidsOf(const SessionFrames& frames, int projector, int pose, PatternAxis axis) {
+  auto sets = SinusoidSets(frames, projector, pose, axis);
+  return sets.empty() || !sets.front().IsWhole() ? SinusoidSet{} : std::move(sets.front());
+}
+
 // Frames of one axis' codes, kept alive while views of them are decoded.
 struct AxisFrames {
   std::vector<Image<uint16_t>> positive, inverse, shifts;
+  int period_px = 0;  // of the sinusoids
 };
 
 enum class Polarity { kPositive, kInverse };
@@ -67,7 +115,7 @@ bool Captured(const SessionFrames& frames, const CodeKind& code, int projector, 
 
 // All of the code's frames, but for inverses where none was captured at all.
 Result<AxisFrames> ReadAxis(const SessionFrames& frames, const CodeKind& code, int projector, int pose,
-                            PatternAxis axis, int count) {
+                            PatternAxis axis, int count, CodeReading reading) {
   std::vector<const db::FrameRow*> rows;
   const int bits = GrayBits(count);
   std::vector<Polarity> polarities = {Polarity::kPositive};
@@ -78,23 +126,12 @@ Result<AxisFrames> ReadAxis(const SessionFrames& frames, const CodeKind& code, i
       SLX_ASSIGN_OR_RETURN(rows.emplace_back(), frames.Require(projector, CapturePhase::kCorrespondence,
                                                                code.Of(axis, bit, bits, polarity), pose));
     }
-  const size_t of_bits = rows.size();
-  const int planned = frames.plan() ? frames.plan()->separation_shifts : 0;
-  for (int shift = 0; shift < planned; ++shift) {
-    const PlanOptions& o = *frames.plan();
-    const db::FrameRow* row = frames.Find(projector, CapturePhase::kSeparation,
-                                          {.kind = PatternKind::kSinusoid,
-                                           .axis = axis,
-                                           .period = o.separation_period,
-                                           .shift = shift,
-                                           .shifts = o.separation_shifts},
-                                          pose);
-    if (row != nullptr) rows.push_back(row);
-  }
-  // Their phases are those of equal steps: where one is missing the bits alone are read.
-  if (rows.size() < of_bits + static_cast<size_t>(planned)) rows.resize(of_bits);
+  const SinusoidSet sinusoids =
+      reading == CodeReading::kBitsAlone ? SinusoidSet{} : SinusoidsOf(frames, projector, pose, axis);
+  rows.insert(rows.end(), sinusoids.rows.begin(), sinusoids.rows.end());
   SLX_ASSIGN_OR_RETURN(auto images, frames.ReadAll(rows));
   AxisFrames read;
+  read.period_px = sinusoids.period_px;
   for (size_t i = 0; i < images.size(); ++i) {
     const size_t kind = i / static_cast<size_t>(bits);
     auto& list = kind == 0 ? read.positive : kind < polarities.size() ? read.inverse : read.shifts;
@@ -103,7 +140,7 @@ Result<AxisFrames> ReadAxis(const SessionFrames& frames, const CodeKind& code, i
   return read;
 }
 
-AxisCode AxisCodeOf(const AxisFrames& frames, const CodeKind& kind, int count, int period) {
+AxisCode AxisCodeOf(const AxisFrames& frames, const CodeKind& kind, int count) {
   AxisCode code;
   code.code = kind.code;
   code.waves_px = kind.waves_px;
@@ -111,7 +148,7 @@ AxisCode AxisCodeOf(const AxisFrames& frames, const CodeKind& kind, int count, i
   for (size_t b = 0; b < frames.positive.size(); ++b)
     code.bits.push_back({frames.positive[b], frames.inverse.empty() ? RawView{} : RawView{frames.inverse[b]}});
   for (const auto& image : frames.shifts) code.shifts.push_back(image);
-  code.period_px = frames.shifts.empty() ? 0 : period;
+  code.period_px = frames.period_px;
   return code;
 }
 
@@ -133,7 +170,31 @@ CodeSize CodeSizeOf(const SessionFrames& frames) {
     const Pattern& p = row.record.pattern;
     if (p.kind == PatternKind::kGray) (p.axis == PatternAxis::kColumns ? size.columns : size.rows) = 1 << p.bits;
   }
+  // Imports of before the manifest was kept say nothing.
+  const SessionDevices& devices = frames.info().devices;
+  if (devices.projector_width > 0) size.columns = devices.projector_width;
+  if (devices.projector_height > 0) size.rows = devices.projector_height;
   return size;
+}
+
+std::string UnreadSinusoids(const SessionFrames& frames, int projector, int pose) {
+  if (frames.plan()) return {};
+  std::string text;
+  for (const PatternAxis axis : {PatternAxis::kColumns, PatternAxis::kRows}) {
+    const std::vector<SinusoidSet> sets = SinusoidSets(frames, projector, pose, axis);
+    for (size_t i = 0; i < sets.size(); ++i) {
+      if (i == 0 && sets[i].IsWhole()) continue;
+      const std::string found = std::to_string(sets[i].rows.size()), wanted = std::to_string(sets[i].shifts);
+      text += (text.empty() ? "" : "; ") + std::string(axis == PatternAxis::kColumns ? "columns" : "rows") +
+              ", period " + std::to_string(sets[i].period_px) + " px: " +
+              (sets[i].IsWhole() ? "period " + std::to_string(sets[0].period_px) + " px is read"
+                                 : found + " of " + wanted + " shifts, all are needed");
+    }
+  }
+  return text.empty() ? text
+                      : "projector " + std::to_string(projector) +
+                            (pose >= 0 ? ", pose " + std::to_string(pose) : std::string()) +
+                            ": sinusoids that are not read: " + text;
 }
 
 Result<DecodeReport> DecodeProjector(const SessionFrames& frames, int projector, int pose, int code_width,
@@ -149,18 +210,16 @@ Result<DecodeReport> DecodeProjector(const SessionFrames& frames, int projector,
   AxisFrames columns, rows;
   const bool has_rows = captured(PatternAxis::kRows, code_height);
   if (!has_rows || captured(PatternAxis::kColumns, code_width)) {  // where there is nothing, a column's frame is named
-    SLX_ASSIGN_OR_RETURN(columns, ReadAxis(frames, code, projector, pose, PatternAxis::kColumns, code_width));
+    SLX_ASSIGN_OR_RETURN(columns, ReadAxis(frames, code, projector, pose, PatternAxis::kColumns, code_width, reading));
   }
   if (has_rows) {
-    SLX_ASSIGN_OR_RETURN(rows, ReadAxis(frames, code, projector, pose, PatternAxis::kRows, code_height));
+    SLX_ASSIGN_OR_RETURN(rows, ReadAxis(frames, code, projector, pose, PatternAxis::kRows, code_height, reading));
   }
-  const int period = frames.plan() ? frames.plan()->separation_period : 0;
   DecodeInput input;
   input.white = white;
   input.black = black;
-  input.columns = AxisCodeOf(columns, code, code_width, period);
-  input.rows = AxisCodeOf(rows, code, code_height, period);
-  if (reading == CodeReading::kBitsAlone) input.columns.shifts = input.rows.shifts = {};
+  input.columns = AxisCodeOf(columns, code, code_width);
+  input.rows = AxisCodeOf(rows, code, code_height);
   return DecodeGray(input, noise);
 }
 

@@ -17,15 +17,21 @@ namespace stratalux::fit {
 inline constexpr int kDecodeVersion = 7;
 
 struct CodeSize {
-  int columns = 0, rows = 0;  // of the projectors: as the plan says, or the most that the stored code can number
+  // Of the projectors: as plan or import say, or the most that the stored code can number.
+  int columns = 0, rows = 0;
 };
 [[nodiscard]] CodeSize CodeSizeOf(const SessionFrames& frames);
 
 // kBitsAlone leaves out the sinusoids that were captured: what the codes say by themselves.
 enum class CodeReading { kWithSinusoids, kBitsAlone };
 
-// Decodes projector p of a session whose frames have `width` x `height` code columns and rows; sinusoids where the plan
-// has them. An axis without any Gray frame is left out; inverses may be absent all together, single frames may not.
+// What of an import's sinusoids DecodeProjector leaves unread, and why: a set that lacks shifts, and all but the finest
+// of several. Empty: nothing.
+[[nodiscard]] std::string UnreadSinusoids(const SessionFrames& frames, int projector, int pose);
+
+// Decodes projector p of a session whose frames have `width` x `height` code columns and rows; of the sinusoids those
+// that the plan has, without a plan an axis' whole set of one period and all its shifts. An axis without any Gray frame
+// is left out; inverses may be absent all together, single frames may not.
 [[nodiscard]] Result<DecodeReport> DecodeProjector(const SessionFrames& frames, int projector, int pose, int code_width,
                                                    int code_height, const SensorNoise& noise,
                                                    CodeReading reading = CodeReading::kWithSinusoids);
