@@ -208,6 +208,7 @@ Result<int> Conclude(const CalibrateFlags& f, CalibrationPage page, nlohmann::or
 struct SessionsByUse {
   std::vector<std::string> boards, light;
   std::optional<RigCalibration> record;  // of the newest light session
+  double saturation_dn = 0.0;            // of the sensor, as that session tells; 0: not known
   Cfa cfa = Cfa::kRggb;                  // of the frames
 };
 
@@ -219,6 +220,7 @@ Result<SessionsByUse> SortByUse(const CalibrateFlags& f, const std::vector<std::
     if (!frames.rows().empty()) sorted.cfa = frames.rows().front().record.cfa;
     const bool light = kind == SessionKind::kDark || kind == SessionKind::kFlat || kind == SessionKind::kResponse;
     (light ? sorted.light : sorted.boards).push_back(frames.info().id);
+    if (light) sorted.saturation_dn = frames.info().devices.saturation_dn;
     if (light && frames.record()) sorted.record = frames.record();
   }
   return sorted;
@@ -246,6 +248,7 @@ Result<int> CalibrateLightAlone(const CalibrateFlags& f, const SessionsByUse& se
         "--known-rig");
   CalibrationPage page;
   page.record = *known;
+  AdoptSaturation(sessions.saturation_dn, page.record.camera);
   page.record.id.clear();
   page.record.source = "light calibration session " + sessions.light.back();
   nlohmann::ordered_json json = {{"schema", 1}};
@@ -269,7 +272,8 @@ Result<int> Calibrate(CalibrateFlags& f, Logger& logger) {
   const GeometryReport& report = *calibrated;
   SLX_ASSIGN_OR_RETURN(const auto known, KnownRig(f, boards.calibration));
   CalibrationPage page{boards.sessions, Judge(boards, known, report, !by_use.light.empty()), &report, known};
-  page.record = ToRecord(report, boards.calibration, "calibration session " + boards.sessions.back());
+  page.record =
+      ToRecord(report, boards.calibration, "calibration session " + boards.sessions.back(), boards.saturation_dn);
   if (!boards.calibration) page.record.camera.cfa = by_use.cfa;
   page.record.made_wall = page.record.valid_until_wall = {};  // not those of the record before
   nlohmann::ordered_json json = nlohmann::ordered_json::parse(ReportJson(report, page.findings, boards.left_out));
@@ -333,8 +337,10 @@ void AddCalibrateCommand(CLI::App& app, int& exit_code) {
                    "Diffuse albedo of the flat sessions' matt target, as its certificate has it")
       ->check(CLI::Range(0.01, 1.2))
       ->capture_default_str();
-  verb->add_option("--camera-size", flags->camera_size, "Full frame of imported crops, WIDTHxHEIGHT");
-  verb->add_option("--projector-size", flags->projector_size, "Picture of imported sessions' projectors, WIDTHxHEIGHT");
+  verb->add_option("--camera-size", flags->camera_size,
+                   "Full frame of imported crops, WIDTHxHEIGHT (default: as imported)");
+  verb->add_option("--projector-size", flags->projector_size,
+                   "Picture of imported sessions' projectors, WIDTHxHEIGHT (default: as imported)");
   verb->add_option("--valid-days", flags->valid_days,
                    "Days after its captures from which on sessions warn of its age (default: 30; of light alone: as "
                    "the known rig has it)")

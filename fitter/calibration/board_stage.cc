@@ -29,19 +29,40 @@ std::vector<int> NumberedPoses(const SessionFrames& frames) {
 }
 
 // Mean of the last code pair that the projector shows: together, all of it is white once more, at half the light.
+// Empty where the pair was not captured.
 Result<Image<uint16_t>> MeanOfLastCodes(const SessionFrames& frames, int projector, int pose, int rows) {
   const int bits = GrayBits(rows);
   Pattern code{.kind = PatternKind::kGray, .axis = PatternAxis::kRows, .bit = bits - 1, .bits = bits};
+  Pattern inverted = code;
+  inverted.inverse = true;
+  for (const Pattern& pattern : {code, inverted})
+    if (frames.Find(projector, CapturePhase::kCorrespondence, pattern, pose) == nullptr) return Image<uint16_t>();
   SLX_ASSIGN_OR_RETURN(auto mean, frames.Read(projector, CapturePhase::kCorrespondence, code, pose));
-  code.inverse = true;
-  SLX_ASSIGN_OR_RETURN(const auto inverse, frames.Read(projector, CapturePhase::kCorrespondence, code, pose));
+  SLX_ASSIGN_OR_RETURN(const auto inverse, frames.Read(projector, CapturePhase::kCorrespondence, inverted, pose));
   for (size_t i = 0; i < mean.size(); ++i)
     mean.pixels()[i] = static_cast<uint16_t>((uint32_t{mean.pixels()[i]} + inverse.pixels()[i]) / 2);
   return mean;
 }
 
+// A corner's place in a projector is a column and a row.
+Status RequireBothAxes(const SessionFrames& frames, int projector, int pose) {
+  bool captured[2] = {false, false};
+  for (const db::FrameRow& row : frames.rows()) {
+    const FrameRecord& r = row.record;
+    if (r.pattern.kind == PatternKind::kGray && r.projector == projector && r.pose == pose)
+      captured[r.pattern.axis == PatternAxis::kRows] = true;
+  }
+  if (captured[0] && captured[1]) return Status::Ok();
+  const std::string name = "projector " + std::to_string(projector);
+  if (captured[0] == captured[1]) return Status::NotFound(name + " shows no codes; capture those of columns and rows");
+  return Status::NotFound(name + " has codes of " + (captured[0] ? "columns" : "rows") +
+                          " alone; boards need both axes: capture the codes of " + (captured[0] ? "rows" : "columns") +
+                          ", too");
+}
+
 Result<ProjectorPictures> PicturesOf(const SessionFrames& frames, int projector, int pose, int rows,
                                      double saturation_dn) {
+  SLX_RETURN_IF_ERROR(RequireBothAxes(frames, projector, pose));
   const db::FrameRow* row = frames.Find(projector, CapturePhase::kReference, kWhite, pose);
   SLX_ASSIGN_OR_RETURN(const auto white, frames.Read(projector, CapturePhase::kReference, kWhite, pose));
   SLX_ASSIGN_OR_RETURN(const auto black, frames.Read(projector, CapturePhase::kReference, kBlack, pose));
@@ -53,7 +74,7 @@ Result<ProjectorPictures> PicturesOf(const SessionFrames& frames, int projector,
     pictures.saturated.pixels()[i] = white.pixels()[i] >= saturation_dn;
   }
   pictures.white_light = BoardLight(white, dark, row->record.cfa);
-  pictures.codes_light = BoardLight(codes, dark, row->record.cfa);
+  if (!codes.empty()) pictures.codes_light = BoardLight(codes, dark, row->record.cfa);
   return pictures;
 }
 
@@ -66,6 +87,11 @@ Result<PoseObservation> ObservePose(const SessionFrames& frames, int pose, const
   std::vector<ProjectorPictures> pictures;
   for (int p = 0; p < projectors; ++p) {
     SLX_ASSIGN_OR_RETURN(auto of_projector, PicturesOf(frames, p, pose, code.rows, noise.saturation_dn));
+    if (of_projector.codes_light.empty())
+      logger.Warning(
+          pose_name + ": projector " + std::to_string(p) +
+          "'s finest row code was captured without its inverse: whether the board held still is known by the "
+          "white frames alone");
     pictures.push_back(std::move(of_projector));
   }
   SLX_ASSIGN_OR_RETURN(const auto corners, FindStillBoard(pictures, options.board, options.observe));
@@ -77,6 +103,7 @@ Result<PoseObservation> ObservePose(const SessionFrames& frames, int pose, const
                                    std::vector<std::optional<Eigen::Vector2d>>(known.projectors.size())});
   for (int p = 0; p < projectors; ++p) {
     const std::string name = "projector " + std::to_string(p);
+    if (const std::string note = UnreadSinusoids(frames, p, pose); !note.empty()) logger.Warning(note);
     SLX_ASSIGN_OR_RETURN(const auto decoded, DecodeProjector(frames, p, pose, code.columns, code.rows, noise));
     auto seen = LookUpCorners(decoded.map, corners, {code.columns, code.rows}, options.observe);
     if (!seen.ok()) return seen.status().WithContext(name);
@@ -91,6 +118,8 @@ DeviceSize CameraSize(const SessionFrames& frames, const BoardStageOptions& opti
   if (options.camera_size) return *options.camera_size;
   if (frames.calibration())
     return {frames.calibration()->camera.model.width, frames.calibration()->camera.model.height};
+  const SessionDevices& devices = frames.info().devices;
+  if (devices.camera_width > 0 && devices.camera_height > 0) return {devices.camera_width, devices.camera_height};
   DeviceSize size;
   for (const db::FrameRow& row : frames.rows()) {
     size.width = std::max(size.width, row.record.crop_x + row.record.width);
@@ -99,8 +128,19 @@ DeviceSize CameraSize(const SessionFrames& frames, const BoardStageOptions& opti
   return size;
 }
 
+DeviceSize ProjectorSize(const SessionFrames& frames, const BoardStageOptions& options, Logger& logger) {
+  if (options.projector_size) return *options.projector_size;
+  const CodeSize code = CodeSizeOf(frames);
+  const SessionDevices& devices = frames.info().devices;
+  if (!frames.plan() && (devices.projector_width == 0 || devices.projector_height == 0))
+    logger.Warning("session " + frames.info().id + " does not say how large its projectors are: taken as " +
+                   std::to_string(code.columns) + "x" + std::to_string(code.rows) +
+                   ", all that their codes can number; give --projector-size");
+  return {code.columns, code.rows};
+}
+
 // What all sessions must agree in.
-Status CheckSession(const SessionFrames& frames, const BoardStageOptions& options, BoardPoses& boards) {
+Status CheckSession(const SessionFrames& frames, const BoardStageOptions& options, BoardPoses& boards, Logger& logger) {
   const std::string name = "session " + frames.info().id;
   const int projectors = CountProjectors(frames);
   if (projectors == 0)
@@ -112,13 +152,14 @@ Status CheckSession(const SessionFrames& frames, const BoardStageOptions& option
   if (o.projectors.empty()) {
     o.board = options.board;
     o.camera = camera;
-    o.projectors.assign(static_cast<size_t>(projectors),
-                        options.projector_size.value_or(DeviceSize{code.columns, code.rows}));
+    o.projectors.assign(static_cast<size_t>(projectors), ProjectorSize(frames, options, logger));
     boards.code = code;
   }
+  // Of imports, one may say how large its projectors are and another not: a size that is given stands for both.
+  const auto agree = [&](int a, int b) { return a == b || (options.projector_size && GrayBits(a) == GrayBits(b)); };
   const bool same = o.camera.width == camera.width && o.camera.height == camera.height &&
-                    o.projectors.size() == static_cast<size_t>(projectors) && boards.code.columns == code.columns &&
-                    boards.code.rows == code.rows;
+                    o.projectors.size() == static_cast<size_t>(projectors) &&
+                    agree(boards.code.columns, code.columns) && agree(boards.code.rows, code.rows);
   return same ? Status::Ok()
               : Status::Usage(name + " has another camera or other projectors than session " + boards.sessions[0] +
                               "; calibrate sessions of one rig together");
@@ -137,7 +178,8 @@ Result<BoardPoses> ObserveBoards(const std::string& store, const std::vector<std
     const std::string id = frames.info().id;
     if (!seen.insert(id).second) return Status::Usage("session " + id + " is given twice");
     boards.sessions.push_back(id);
-    SLX_RETURN_IF_ERROR(CheckSession(frames, options, boards));
+    SLX_RETURN_IF_ERROR(CheckSession(frames, options, boards, logger));
+    boards.saturation_dn = frames.record() ? frames.info().devices.saturation_dn : SaturationOf(frames);
     if (frames.record()) boards.calibration = frames.record();
     for (const int pose : NumberedPoses(frames)) {
       const std::string name = pose >= 0 ? "pose " + std::to_string(pose) + " (session " + id + ")" : "session " + id;

@@ -18,13 +18,16 @@ struct BoardPoses {
   std::vector<std::string> left_out;          // poses that could not be used: name, cause, remedy
   std::optional<RigCalibration> calibration;  // the newest session's own record, if any
   std::vector<std::string> sessions;          // ids, in the order given
+  // Of the sensor, as the newest session tells; by its frames' format only where no record says better. 0: not known.
+  double saturation_dn = 0.0;
 };
 
 struct BoardStageOptions {
   BoardDescription board;
   ObserveOptions observe;
-  std::optional<DeviceSize> camera_size;     // of imports that are crops; else the calibration record's or the frames'
-  std::optional<DeviceSize> projector_size;  // of imports; else the plan's, or what the code can number
+  // Of imports. Else as the record, the session's manifest or its plan say; where none does, all that the frames cover,
+  // and all that the code can number (which is warned of).
+  std::optional<DeviceSize> camera_size, projector_size;
 };
 
 // All poses of the sessions; a session without pose numbers is one pose; a pose of the same number in a later session

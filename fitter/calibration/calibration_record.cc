@@ -44,14 +44,19 @@ Json DeviceJson(const GeometryReport& report, size_t d) {
 
 }  // namespace
 
+void AdoptSaturation(double saturation_dn, CameraCalibration& camera) {
+  if (saturation_dn > camera.black_level_dn && camera.response.empty()) camera.saturation_dn = saturation_dn;
+}
+
 RigCalibration ToRecord(const GeometryReport& report, const std::optional<RigCalibration>& earlier,
-                        const std::string& source) {
+                        const std::string& source, double saturation_dn) {
   const RigGeometry& rig = report.bundle.rig;
   RigCalibration record = earlier.value_or(RigCalibration{});
   record.id.clear();
   record.source = source;
   record.camera.model = rig.camera;
   record.camera.geometry_covariance.clear();
+  AdoptSaturation(saturation_dn, record.camera);
   record.projectors.resize(rig.projectors.size());
   for (size_t p = 0; p < rig.projectors.size(); ++p) {
     ProjectorCalibration& projector = record.projectors[p];

@@ -11,10 +11,14 @@
 
 namespace stratalux::fit {
 
-// Geometry and covariance of `report`. What geometry does not tell (levels, noise, blur, light) stays as `earlier` has
-// it; without one, as the record's defaults have it, with unit light.
+// The level at which the sensor of the frames at hand saturates; 0, not known, changes nothing. Nor does any where the
+// camera has a response, which is a curve over the range up to the saturation that it was measured with.
+void AdoptSaturation(double saturation_dn, CameraCalibration& camera);
+
+// Geometry and covariance of `report`, and the saturation (AdoptSaturation). What neither tells (levels, noise, blur,
+// light) stays as `earlier` has it; without one, as the record's defaults have it, with unit light.
 [[nodiscard]] RigCalibration ToRecord(const GeometryReport& report, const std::optional<RigCalibration>& earlier,
-                                      const std::string& source);
+                                      const std::string& source, double saturation_dn = 0.0);
 
 // JSON, schema 1: {"schema", "verdict": "accepted"|"refused", "findings": [{"severity", "what", "remedy"}],
 // "left_out": [text], "distortion", "trials": [{"model", "held_out_sigmas", "held_out_px"}], "joint_rms_px",

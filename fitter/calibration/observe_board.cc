@@ -138,7 +138,8 @@ Result<std::vector<BoardCorner>> FindStillBoard(const std::vector<ProjectorPictu
       return Status::Failed(Formatted("%.0f", 100.0 * share) + " % of the board is saturated in the white of " + name +
                             "; shorten the exposure and capture this pose again");
     SLX_RETURN_IF_ERROR(CheckStill(name + ", white", p.white_light, *corners, board, options));
-    SLX_RETURN_IF_ERROR(CheckStill(name + ", after its codes", p.codes_light, *corners, board, options));
+    if (!p.codes_light.empty())
+      SLX_RETURN_IF_ERROR(CheckStill(name + ", after its codes", p.codes_light, *corners, board, options));
   }
   return corners;
 }

@@ -29,7 +29,8 @@ struct ObserveOptions {
 struct ProjectorPictures {
   int projector = 0;
   Image<float> white_light;  // BoardLight of its white frame, taken before its codes
-  Image<float> codes_light;  // the same of the mean of its last code and that code's inverse, taken at their end
+  // The same of the mean of its last code and that code's inverse, taken at their end; empty: not captured as a pair.
+  Image<float> codes_light;
   Image<uint8_t> saturated;  // 1: the white frame's sample is
 };
 

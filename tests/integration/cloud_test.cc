@@ -231,11 +231,15 @@ TEST_F(RealCloud, OfBoardsAtThreeMetresIsPlanes) {
                     manifest = STRATALUX_SOURCE_DIR "/docs/examples/procam_gray_kamino.toml";
   ASSERT_EQ(Execute("stratalux-db init" + store).code, 0);
   ASSERT_EQ(Execute("stratalux-db import --manifest " + manifest + " --root " + data.string() + store).code, 0);
-  const Outcome calibrated = Execute(
-      "stratalux-fit calibrate latest --board chess --squares 10x8 --square-mm 75 "
-      "--camera-size 1280x1024 --projector-size 1024x768 --out " +
-      rig + store);
+  // The frames are crops, and the codes could number 1024 rows: the manifest says how large camera and projector are.
+  const Outcome calibrated =
+      Execute("stratalux-fit calibrate latest --board chess --squares 10x8 --square-mm 75 --out " + rig + store);
   ASSERT_EQ(calibrated.code, 0) << calibrated.out;
+  const auto record = RigCalibration::FromJson(ReadText(rig));
+  ASSERT_TRUE(record.ok()) << record.status().message();
+  EXPECT_EQ(record->camera.model.width, 1280);
+  EXPECT_EQ(record->projectors[0].model.height, 768);
+  EXPECT_EQ(record->camera.saturation_dn, 255.0);
   const std::string cloud = "stratalux-fit cloud latest --out " + (folder_ / "points").string() + store;
   const Outcome made = Execute(cloud + " --calibration " + rig);
   ASSERT_EQ(made.code, 0) << made.out;

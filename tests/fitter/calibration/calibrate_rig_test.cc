@@ -135,6 +135,21 @@ TEST(CalibrateRig, RecordKeepsGeometryAndCovariance) {
   EXPECT_EQ(back->projectors[1].geometry_covariance[119], report->covariances[2](14, 14));
 }
 
+TEST(CalibrateRig, RecordHasTheSaturationOfTheSensorAtHand) {
+  const auto report = CalibrateRig(Observe(ExampleRig(2), ExamplePoses(), {}, 10));
+  ASSERT_TRUE(report.ok());
+  for (const double saturation_dn : {255.0, 4080.0, 4092.0, 65535.0}) {
+    RigCalibration record = ToRecord(*report, std::nullopt, "x", saturation_dn);
+    EXPECT_EQ(record.camera.saturation_dn, saturation_dn);
+    record.camera.saturation_dn = 4095.0;  // as a calibration of before had it
+    EXPECT_EQ(ToRecord(*report, record, "x", saturation_dn).camera.saturation_dn, saturation_dn);
+    record.camera.response = {0.0, 0.5, 1.0};
+    EXPECT_EQ(ToRecord(*report, record, "x", saturation_dn).camera.saturation_dn, 4095.0) << "a curve up to that level";
+  }
+  RigCalibration earlier = ToRecord(*report, std::nullopt, "x", 4092.0);
+  EXPECT_EQ(ToRecord(*report, earlier, "x").camera.saturation_dn, 4092.0) << "not known: as it was";
+}
+
 TEST(Verdict, RefusesBoardsThatFaceTheCamera) {
   auto poses = ExamplePoses();
   for (size_t k = 0; k < poses.size(); ++k) {
