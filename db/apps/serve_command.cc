@@ -2,6 +2,7 @@
 // `stratalux-db serve`: the store as pages of a browser, until SIGINT or SIGTERM.
 #include <csignal>
 #include <cstdlib>
+#include <filesystem>
 #include <memory>
 #include <optional>
 
@@ -54,8 +55,9 @@ class LinkPage {
  public:
   explicit LinkPage(const std::string& url) {
     const char* own = std::getenv("XDG_RUNTIME_DIR");
-    std::string name =
-        (own != nullptr && *own != '\0' ? std::string(own) : std::string("/tmp")) + "/stratalux-serve-XXXXXX.html";
+    const std::filesystem::path folder =
+        own != nullptr && *own != '\0' ? std::filesystem::path(own) : std::filesystem::temp_directory_path();
+    std::string name = folder / "stratalux-serve-XXXXXX.html";
     constexpr int kSuffix = 5;                                        // ".html"
     const UniqueFd file(mkostemps(name.data(), kSuffix, O_CLOEXEC));  // mode 0600
     if (!file.ok()) return;

@@ -43,9 +43,11 @@ Image<uint8_t> FittedByAll(const std::vector<ComparedModel>& models, const std::
 
 // Direct light of the view's quads, as a reflectance; none where no pattern told any.
 std::optional<Image<float>> DirectOf(const CompareInput& in) {
-  const SeparationMap separation = OnView(in.view, in.separation);
-  Image<float> direct =
-      DirectReflectance(SinusoidsOf(in.view), in.view.shape.surface, in.view.shape.lit[in.view.projector], separation);
+  const HeldOutView& view = in.view;
+  const auto direct_of = [&view](const SeparationMap& separation) {
+    return DirectReflectance(SinusoidsOf(view), view.shape.surface, view.shape.lit[view.projector], separation);
+  };
+  Image<float> direct = view.home.empty() ? direct_of(in.separation) : direct_of(OnView(view, in.separation));
   const auto values = direct.pixels();
   if (std::none_of(values.begin(), values.end(), [](float v) { return std::isfinite(v); })) return std::nullopt;
   return direct;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // stratalux-skin-table: makes and checks the simulated skin's transport table; line-spread profiles by Monte Carlo.
+#include <cerrno>
 #include <chrono>
 #include <cmath>
 #include <cstdio>
@@ -34,9 +35,10 @@ int Generate(const std::string& out, const SkinTableRun& run, const std::vector<
   Logger logger;
   // Found out before the photons run, not hours after.
   const std::filesystem::path folder = std::filesystem::absolute(out).parent_path();
-  if (access(folder.c_str(), W_OK) != 0 || std::filesystem::is_directory(out))
-    return Report(
-        logger, Status::Failed("cannot write " + out + ": " + (errno != 0 ? std::strerror(errno) : "it is a folder")));
+  if (std::filesystem::is_directory(out))
+    return Report(logger, Status::Failed("cannot write " + out + ": it is a folder"));
+  if (access(folder.c_str(), W_OK) != 0)
+    return Report(logger, Status::Failed("cannot write " + out + ": " + std::strerror(errno)));
   const auto start = std::chrono::steady_clock::now();
   std::vector<SkinTable> tables;
   for (const std::string& file : made) {

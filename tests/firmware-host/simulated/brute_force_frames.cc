@@ -119,7 +119,7 @@ Result<std::vector<ComparedPixel>> CompareWithRig(const CompareOptions& options,
 double SigmaOf(const ComparedPixel& pixel, double exposure_ms) {
   const bool white = pixel.light == "white";
   const double rig_error = (white ? 0.02 : 0.04) * pixel.traced + 0.001 * exposure_ms * 3.0;
-  return std::hypot(std::hypot(pixel.traced_error, white ? 0.41 : 0.11), rig_error);
+  return std::hypot(std::hypot(pixel.traced_error, pixel.RoundingDn()), rig_error);
 }
 
 std::string ComparisonTable(const std::vector<ComparedPixel>& pixels) {

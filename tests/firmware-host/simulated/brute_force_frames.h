@@ -24,6 +24,8 @@ struct ComparedPixel {
   double traced = 0.0, traced_error = 0.0;
   double direct = 0.0;  // surface reflection within `traced`
   [[nodiscard]] double Deviation() const { return rig / traced - 1.0; }
+  // One sigma, DN: of two frames, of lines and spots at four exposures.
+  [[nodiscard]] double RoundingDn() const { return light == "white" ? 0.41 : 0.11; }
 };
 
 struct CompareOptions {
@@ -42,11 +44,11 @@ struct CompareOptions {
                                                                 const std::vector<NamedLight>& lights,
                                                                 const std::vector<Eigen::Vector2i>& pixels,
                                                                 Logger& logger);
-// Lines of a Markdown table.
 // DN by which frame and photons of an exposure of so many ms may differ, one sigma: the photons' errors; two frames are
 // rounded (0.4 DN, lines and spots a quarter of it); and what the rig may be off beside that is the table's
 // interpolation over melanin and blood (docs), and where a pattern is dark the tails of its lines.
 [[nodiscard]] double SigmaOf(const ComparedPixel& pixel, double exposure_ms);
+// Lines of a Markdown table.
 [[nodiscard]] std::string ComparisonTable(const std::vector<ComparedPixel>& pixels);
 
 }  // namespace stratalux::rig

@@ -20,14 +20,13 @@ namespace {
 void PrintSummary(const std::vector<ComparedPixel>& compared, const char* name, double least_deg, double most_deg) {
   for (const std::string light : {"white", "stripe", "spot"})
     for (int colour = 0; colour < 3; ++colour) {
-      const double rounding_dn = light == "white" ? 0.41 : 0.11;  // of two frames, the latter of four exposures
       double squares = 0.0, sum = 0.0, errors = 0.0, chi_square = 0.0;
       int count = 0;
       for (const ComparedPixel& c : compared) {
         if (c.light != light || c.colour != colour || c.traced < 10.0 || c.light_deg < least_deg ||
             c.light_deg >= most_deg)
           continue;
-        const double error = std::hypot(c.traced_error, rounding_dn) / c.traced;
+        const double error = std::hypot(c.traced_error, c.RoundingDn()) / c.traced;
         squares += c.Deviation() * c.Deviation();
         sum += c.Deviation();
         errors += error * error;
