@@ -107,12 +107,13 @@ slurm_wait_up() {
   return 1
 }
 
-# A job that was queued again would wait for two minutes.
+# A job that was queued again would wait for two minutes. At once is too early: slurmd takes a credential of the second in
+# which it ended the job before as that job's, "already killed", and the task fails without having run. Takes a second.
 slurm_hurry() {
-  local job
-  squeue -h -r -t PENDING -o '%i %r' | while read -r job reason; do
-    [ "$reason" != BeginTime ] || scontrol update "JobId=$job" StartTime=now
-  done
+  local job waiting
+  waiting=$(squeue -h -r -t PENDING -o '%i %r' 2>/dev/null | sed -n 's/ BeginTime$//p') || true
+  sleep 1.1
+  for job in $waiting; do scontrol update "JobId=$job" StartTime=now 2>/dev/null || true; done
 }
 
 # Until every job there was has ended. By itself squeue shows what waits, runs and completes: not a task that is being queued
@@ -122,8 +123,7 @@ slurm_drain() {
   for ((i = 0; i < ${1:-300}; ++i)); do
     left=$(squeue -h -r -t all -o %T 2>/dev/null | { grep -vcxE 'COMPLETED|FAILED|CANCELLED|TIMEOUT|NODE_FAIL' || true; }) || left=1
     [ "$left" -gt 0 ] || return 0
-    slurm_hurry 2>/dev/null || true
-    sleep 1
+    slurm_hurry
   done
   squeue -r >&2 || true
   echo "the queue is not empty after ${1:-300} looks" >&2
