@@ -69,7 +69,9 @@ int RunConsent(const CommonFlags& common, const ConsentFlags& flags) {
     if (status.ok()) status = GiveConsent(common.store, flags.visitor, consent);
   } else if (flags.withdraw->parsed()) {
     status = WithdrawConsent(common.store, flags.visitor);
-    if (status.ok()) std::fprintf(stderr, "the visitor's sessions are due: `stratalux-db purge` removes them now\n");
+    if (status.ok())
+      std::fprintf(stderr,
+                   "the visitor's sessions, if there are any, are due: `stratalux-db purge` removes them now\n");
   }
   return status.ok() ? ShowConsents(common, flags.visitor) : Report(status);
 }

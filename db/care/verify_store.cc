@@ -68,6 +68,10 @@ Status CheckLedger(const SessionStore& store, const Ledger& ledger, VerifyReport
                                 " know: `stratalux-db reindex`");
     holding.Reset();
   }
+  SLX_ASSIGN_OR_RETURN(const auto held, HoldingThoughWithdrawn(index, ledger));
+  for (const WallNs given : held)
+    report.problems.push_back("a consent of " + ToIso8601(given) +
+                              " is withdrawn, which the index does not know: `stratalux-db reindex`");
   return Status::Ok();
 }
 

@@ -84,6 +84,19 @@ Result<std::vector<std::string>> SessionsOf(Connection& connection, const std::s
   }
 }
 
+// When those consents were given that hold.
+Result<std::vector<WallNs>> HeldBy(Connection& connection, const std::string& visitor) {
+  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT given_wall_ns FROM consents WHERE visitor = ?1 AND"
+                                                       " withdrawn_wall_ns IS NULL ORDER BY number"));
+  select.Bind(1, visitor);
+  std::vector<WallNs> given;
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return given;
+    given.push_back({select.Integer(0)});
+  }
+}
+
 }  // namespace
 
 Status CheckPseudonym(const std::string& visitor) {
@@ -148,19 +161,17 @@ Status WithdrawConsent(const std::filesystem::path& store, const std::string& vi
   Connection& connection = index.connection();
   // No session of the visitor begins meanwhile: its row waits for this transaction.
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
-  SLX_ASSIGN_OR_RETURN(auto count, connection.Prepare("SELECT count(*) FROM consents WHERE visitor = ?1 AND"
-                                                      " withdrawn_wall_ns IS NULL"));
-  SLX_RETURN_IF_ERROR(count.Bind(1, visitor).Step().status());
-  if (count.Integer(0) == 0) return Status::NotFound("visitor " + Quoted(visitor) + " has given no consent that holds");
-  count.Reset();
+  SLX_ASSIGN_OR_RETURN(const auto held, HeldBy(connection, visitor));
+  if (held.empty()) return Status::NotFound("visitor " + Quoted(visitor) + " has given no consent that holds");
   LedgerEntry entry;
   entry.kind = LedgerKind::kWithdrawal;
   entry.at = WallNow();
+  entry.detail_json = WithdrawalDetail(held);
   SLX_ASSIGN_OR_RETURN(entry.sessions, SessionsOf(connection, visitor));
   const auto name = FindVisitorName(store, visitor);  // none where no session was made here
   if (!name.ok() && name.status().code() != StatusCode::kNotFound) return name.status();
   entry.visitor_hmac = name.ok() ? *name : "";
-  if (!entry.sessions.empty()) SLX_RETURN_IF_ERROR(AppendToLedger(store, entry));
+  SLX_RETURN_IF_ERROR(AppendToLedger(store, entry));
   if (after_step) after_step(WithdrawStep::kLedger);
   SLX_ASSIGN_OR_RETURN(auto update, connection.Prepare("UPDATE consents SET withdrawn_wall_ns = ?2 WHERE"
                                                        " visitor = ?1 AND withdrawn_wall_ns IS NULL"));

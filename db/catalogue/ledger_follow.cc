@@ -1,7 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/catalogue/ledger_follow.h"
 
+#include <algorithm>
 #include <map>
+#include <set>
+#include <utility>
+#include <vector>
 
 #include <nlohmann/json.hpp>
 
@@ -57,6 +61,51 @@ class Withdrawing {
   Withdrawing(Statement count, Statement update) : count_(std::move(count)), update_(std::move(update)) {}
   Statement count_, update_;
 };
+
+// When those consents were given that hold. Of two visitors who gave theirs at the same nanosecond it cannot be told
+// whose a moment means: neither is among them.
+Result<std::set<int64_t>> HoldingMoments(Connection& connection) {
+  SLX_ASSIGN_OR_RETURN(auto select,
+                       connection.Prepare("SELECT given_wall_ns FROM consents GROUP BY given_wall_ns HAVING"
+                                          " count(DISTINCT visitor) = 1 AND count(withdrawn_wall_ns) <"
+                                          " count(*)"));
+  std::set<int64_t> moments;
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return moments;
+    moments.insert(select.Integer(0));
+  }
+}
+
+// What these entries withdraw, the earliest first: the number of consents that held until now.
+Result<int64_t> Withdraw(Connection& connection, std::vector<LedgerEntry> entries) {
+  std::erase_if(entries, [](const LedgerEntry& entry) { return entry.kind != LedgerKind::kWithdrawal; });
+  if (entries.empty()) return 0;
+  std::ranges::stable_sort(entries, {}, [](const LedgerEntry& entry) { return entry.at.ns; });
+  SLX_ASSIGN_OR_RETURN(auto withdrawing, Withdrawing::Prepare(connection));
+  int64_t withdrawn = 0;
+  for (const LedgerEntry& entry : entries)
+    for (const std::string& session : entry.sessions) {
+      SLX_ASSIGN_OR_RETURN(const int64_t held, withdrawing.Withdraw(session, entry.at));
+      withdrawn += held;
+    }
+  SLX_ASSIGN_OR_RETURN(const auto holding, HoldingMoments(connection));
+  SLX_ASSIGN_OR_RETURN(auto update,
+                       connection.Prepare("UPDATE consents SET withdrawn_wall_ns = ?2 WHERE"
+                                          " given_wall_ns = ?1 AND withdrawn_wall_ns IS NULL RETURNING 1"));
+  for (const LedgerEntry& entry : entries)
+    for (const WallNs given : ConsentsWithdrawnBy(entry)) {
+      if (!holding.contains(given.ns)) continue;
+      update.Bind(1, given.ns).Bind(2, entry.at.ns);
+      while (true) {
+        SLX_ASSIGN_OR_RETURN(const bool more, update.Step());
+        if (!more) break;
+        ++withdrawn;
+      }
+      update.Reset();
+    }
+  return withdrawn;
+}
 
 std::string ReasonOf(const std::string& detail) {
   const auto json = nlohmann::ordered_json::parse(detail, nullptr, false);
@@ -138,14 +187,10 @@ Status FollowLedger(SessionIndex& index, const fs::path& store) {
   SLX_ASSIGN_OR_RETURN(const LedgerNews news, ReadLedgerNews(store, heads));
   if (!news.changed) return Status::Ok();
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
-  SLX_ASSIGN_OR_RETURN(auto withdrawing, Withdrawing::Prepare(connection));
-  for (const LedgerEntry& entry : news.entries) {
-    if (entry.kind == LedgerKind::kWithdrawal)
-      for (const std::string& session : entry.sessions)
-        SLX_RETURN_IF_ERROR(withdrawing.Withdraw(session, entry.at).status());
+  SLX_RETURN_IF_ERROR(Withdraw(connection, news.entries).status());
+  for (const LedgerEntry& entry : news.entries)
     if (entry.kind == LedgerKind::kForgetting || entry.kind == LedgerKind::kForgotten)
       SLX_RETURN_IF_ERROR(NoteDeletion(connection, entry));
-  }
   SLX_RETURN_IF_ERROR(WriteHeads(connection, news.heads));
   return transaction.Commit();
 }
@@ -156,15 +201,19 @@ Result<bool> FollowsLedger(SessionIndex& index, const fs::path& store) {
   return news.entries.empty();
 }
 
+Result<std::vector<WallNs>> HoldingThoughWithdrawn(SessionIndex& index, const Ledger& ledger) {
+  SLX_ASSIGN_OR_RETURN(const auto holding, HoldingMoments(index.connection()));
+  std::vector<WallNs> held;
+  for (const LedgerEntry& entry : ledger.entries())
+    for (const WallNs given : ConsentsWithdrawnBy(entry))
+      if (holding.contains(given.ns)) held.push_back(given);
+  return held;
+}
+
 Result<int64_t> FollowWithdrawals(SessionIndex& index, const fs::path& store) {
   SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(index.connection()));
-  SLX_ASSIGN_OR_RETURN(auto withdrawing, Withdrawing::Prepare(index.connection()));
-  int64_t withdrawn = 0;
-  for (const auto& [session, at] : ledger.withdrawn()) {
-    SLX_ASSIGN_OR_RETURN(const int64_t held, withdrawing.Withdraw(session, at));
-    withdrawn += held;
-  }
+  SLX_ASSIGN_OR_RETURN(const int64_t withdrawn, Withdraw(index.connection(), ledger.entries()));
   SLX_RETURN_IF_ERROR(transaction.Commit());
   return withdrawn;
 }

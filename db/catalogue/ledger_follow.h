@@ -5,8 +5,10 @@
 #pragma once
 
 #include <filesystem>
+#include <vector>
 
 #include "db/catalogue/session_index.h"
+#include "db/ledger/ledger.h"
 
 namespace stratalux::db {
 
@@ -18,6 +20,9 @@ Status FollowLedger(SessionIndex& index, const std::filesystem::path& store);
 // All withdrawals of the ledger once more, for sessions that came after their entry was read. The rows that this
 // changed.
 [[nodiscard]] Result<int64_t> FollowWithdrawals(SessionIndex& index, const std::filesystem::path& store);
+
+// When those consents were given that hold here though the ledger names them as withdrawn.
+[[nodiscard]] Result<std::vector<WallNs>> HoldingThoughWithdrawn(SessionIndex& index, const Ledger& ledger);
 
 // The tombstones of deletions/ into the ledger, each of the moment that its row in the index has.
 Status TakeOverTombstones(SessionIndex& index, const std::filesystem::path& store);

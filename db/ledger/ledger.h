@@ -34,8 +34,15 @@ struct LedgerEntry {
   WallNs at;
   std::vector<std::string> sessions;  // ids
   std::string visitor_hmac;           // 64 hex digits; empty for forgettings
-  std::string detail_json;  // consent (kConsent), certificate (kForgotten), reason (kForgetting); may be empty
+  // Consent (kConsent), what is withdrawn (kWithdrawal), certificate (kForgotten), reason (kForgetting); may be empty.
+  std::string detail_json;
 };
+
+// A withdrawal names the consents that it ends by when they were given, too: an index older than the visitor's first
+// session, or of a visitor without any, knows them by that alone.
+[[nodiscard]] std::string WithdrawalDetail(const std::vector<WallNs>& given);
+// None of another kind of entry, or of a program that did not say it.
+[[nodiscard]] std::vector<WallNs> ConsentsWithdrawnBy(const LedgerEntry& entry);
 
 struct LedgerMerge {
   int64_t chains = 0, entries = 0;    // that were new here

@@ -81,6 +81,22 @@ const char* ToString(LedgerKind kind) {
   return "note";
 }
 
+std::string WithdrawalDetail(const std::vector<WallNs>& given) {
+  Json moments = Json::array();
+  for (const WallNs at : given) moments.push_back(at.ns);
+  return Json({{"given_wall_ns", std::move(moments)}}).dump();
+}
+
+std::vector<WallNs> ConsentsWithdrawnBy(const LedgerEntry& entry) {
+  std::vector<WallNs> given;
+  if (entry.kind != LedgerKind::kWithdrawal || !CheckNesting(entry.detail_json).ok()) return given;
+  const Json detail = Json::parse(entry.detail_json, nullptr, false);
+  if (!detail.is_object() || !detail.contains("given_wall_ns")) return given;
+  for (const Json& at : detail["given_wall_ns"])
+    if (at.is_number_integer()) given.push_back({at.get<int64_t>()});
+  return given;
+}
+
 std::string LedgerHash(std::string_view bytes) {
   std::array<uint8_t, kHashDigits / 2> hash{};
   crypto_generichash(hash.data(), hash.size(), reinterpret_cast<const uint8_t*>(bytes.data()), bytes.size(), nullptr,

@@ -31,7 +31,7 @@ TEST_F(LedgerTest, TheWorkedExampleIsWhatTheCodeWrites) {
   const Consent consent{"2026-03", "de", true, false, false, {1795262563000000000}};
   for (const LedgerEntry& entry :
        {LedgerEntry{LedgerKind::kConsent, {1795262570000000000}, {id}, name, ConsentToJson(consent)},
-        LedgerEntry{LedgerKind::kWithdrawal, {1795348970000000000}, {id}, name, ""},
+        LedgerEntry{LedgerKind::kWithdrawal, {1795348970000000000}, {id}, name, WithdrawalDetail({consent.given_wall})},
         LedgerEntry{LedgerKind::kForgetting, {1795348980000000000}, {id}, "", R"({"reason":"forget"})"}})
     ASSERT_TRUE(AppendToLedger(store_, entry).ok());
   const std::string page = ReadFile(std::string(STRATALUX_SOURCE_DIR) + "/docs/file-formats.md").value();

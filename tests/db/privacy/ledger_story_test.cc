@@ -184,6 +184,50 @@ TEST_F(LedgerStoryTest, AWithdrawalThatSomebodyTookOutOfTheIndexIsFoundAndComesB
   EXPECT_THAT(VerifyStore(OpenStore(AccessMode::kReadOnly), {})->problems, IsEmpty());
 }
 
+// Before the first session nothing leads from a withdrawal to its visitor but the moment of the consent.
+TEST_F(LedgerStoryTest, AWithdrawalOfWhoWasNeverCapturedHoldsInAnOlderIndexToo) {
+  constexpr const char* kOther = "v-00000002";
+  Consent();
+  ASSERT_TRUE(GiveConsent(folder_, kOther, {"2026-03", "de", true, false, false, {}}).ok());
+  { const SessionStore followed = OpenStore(); }
+  const fs::path older = folder_.string() + ".older";
+  fs::copy(folder_ / "index.sqlite", older);
+  ASSERT_TRUE(WithdrawConsent(folder_, kVisitor).ok());
+  const WallNs at = *ListConsents(folder_, kVisitor)->front().withdrawn;
+  ASSERT_THAT(ReadLedger().entries(), SizeIs(1));
+  EXPECT_THAT(ReadLedger().entries()[0].sessions, IsEmpty());
+  EXPECT_THAT(ReadLedger().entries()[0].detail_json, Not(HasSubstr(kVisitor)));
+  LoseIndex();
+  fs::rename(older, folder_ / "index.sqlite");
+  EXPECT_THAT(Begin(Visitor()).status().message(), HasSubstr("withdrawn")) << "the opening follows the ledger";
+  EXPECT_EQ(ListConsents(folder_, kVisitor)->front().withdrawn, at);
+  EXPECT_FALSE(ListConsents(folder_, kOther)->front().withdrawn);
+  Consent();  // given anew it holds
+  ASSERT_TRUE(Connection::Open(folder_ / "index.sqlite", Connection::Mode::kReadWrite)
+                  ->Execute("DELETE FROM ledger_heads WHERE chain <> ''")
+                  .ok());
+  EXPECT_TRUE(Begin(Visitor()).ok());
+  ASSERT_TRUE(Connection::Open(folder_ / "index.sqlite", Connection::Mode::kReadWrite)
+                  ->Execute("UPDATE consents SET withdrawn_wall_ns = NULL")
+                  .ok());
+  EXPECT_THAT(VerifyStore(OpenStore(AccessMode::kReadOnly), {})->problems,
+              Contains(HasSubstr("is withdrawn, which the index does not know")));
+}
+
+// The index of a backup is older than the visit: the session that the withdrawal names is not in it.
+TEST_F(LedgerStoryTest, AWithdrawalAfterAVisitHoldsInAnIndexOfBeforeIt) {
+  Consent();
+  { const SessionStore followed = OpenStore(); }
+  const fs::path older = folder_.string() + ".older";
+  fs::copy(folder_ / "index.sqlite", older);
+  Visit();
+  ASSERT_TRUE(WithdrawConsent(folder_, kVisitor).ok());
+  LoseIndex();
+  fs::rename(older, folder_ / "index.sqlite");
+  { const SessionStore followed = OpenStore(); }
+  EXPECT_TRUE(ListConsents(folder_, kVisitor)->front().withdrawn);
+}
+
 // Killed behind the ledger and before the index, behind both, and before either.
 TEST_F(LedgerStoryTest, AWithdrawalHoldsWhereverItStops) {
   for (const WithdrawStep stop : {WithdrawStep::kLedger, WithdrawStep::kIndex}) {
