@@ -35,12 +35,24 @@ Status Snapshot(const fs::path& database, const fs::path& to) {
   return KeepFile(part, to);
 }
 
+// The store or backup that a file would lie in; empty where there is none.
+fs::path DataAround(const fs::path& file) {
+  std::error_code error;
+  for (fs::path folder = fs::weakly_canonical(file, error).parent_path();; folder = folder.parent_path()) {
+    for (const char* name : {"backup.json", kBackupJournal, "index.sqlite"})
+      if (fs::exists(folder / name, error)) return folder;
+    if (!folder.has_relative_path()) return {};
+  }
+}
+
 Status CopyKeys(const fs::path& store, const BackupOptions& options) {
   if (options.keys.empty()) return Status::Ok();
   std::error_code error;
-  if (LiesIn(options.keys, options.to))
-    return Status::Usage("--keys " + options.keys.string() +
-                         " lies within the backup: keys beside the data protect nothing; choose another place");
+  const fs::path data = LiesIn(options.keys, options.to) ? options.to : DataAround(options.keys);
+  if (!data.empty())
+    return Status::Usage("--keys " + options.keys.string() + " lies within " + data.string() +
+                         ": keys beside the data protect nothing, and are not destroyed when somebody is forgotten;"
+                         " choose another place");
   if (fs::exists(options.keys, error))
     return Status::Usage(options.keys.string() + " is there already; remove it first");
   if (!fs::exists(store / "keys.sqlite", error))

@@ -35,7 +35,7 @@ Status CopyFit(const fs::path& from, const fs::path& to, const fs::path& session
     return {};
   };
   for (const std::string& name : names) {
-    fs::create_directories((to / name).parent_path(), error);
+    SLX_RETURN_IF_ERROR(db::MakeFolder((to / name).parent_path()));
     const fs::path file = artifact_file(name);
     if (!file.empty()) fs::create_hard_link(file, to / name, error);
     if (file.empty() || error) fs::copy_file(from / name, to / name, error);

@@ -69,6 +69,14 @@ TEST_F(BackupTest, KeysAreNeverInIt) {
   std::filesystem::copy_file(far_ / "k" / "index.sqlite", folder_ / "keys.sqlite",
                              std::filesystem::copy_options::overwrite_existing);
   EXPECT_EQ(Backup(folder_, {backup_, backup_ / "keys"}, logger_).status().code(), StatusCode::kUsage);
+  // Nor beside any other data, of which a forgetting would not know: this store's own, and another backup's.
+  ASSERT_TRUE(Backup(folder_, {far_ / "second", {}}, logger_).ok());
+  for (const auto& place : {folder_ / "keys.copy", folder_ / "sessions" / "keys.copy", far_ / "second" / "keys.copy"}) {
+    const auto refused = Backup(folder_, {backup_, place}, logger_);
+    EXPECT_EQ(refused.status().code(), StatusCode::kUsage) << place;
+    EXPECT_THAT(refused.status().message(), HasSubstr("lies within"));
+    EXPECT_FALSE(std::filesystem::exists(place));
+  }
   ASSERT_TRUE(Backup(folder_, {backup_, far_ / "keys.copy"}, logger_).ok());
   EXPECT_TRUE(std::filesystem::exists(far_ / "keys.copy"));
   for (const auto& entry : std::filesystem::recursive_directory_iterator(backup_))
