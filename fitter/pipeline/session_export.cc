@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <optional>
+#include <set>
 
 #include <nlohmann/json.hpp>
 
@@ -14,6 +15,7 @@
 #include "fitter/pipeline/interruption.h"
 #include "fitter/pipeline/session_fits.h"
 #include "fitter/session/choose_session.h"
+#include "fitter/stages/layers.h"
 #include "fitter/stages/stage_json.h"
 #include "shared/base/version.h"
 
@@ -56,6 +58,24 @@ Result<Loaded> LoadFrom(const StoredFit& fit) {
   return loaded;
 }
 
+// The newest surface by all lights: a shape, or one that was placed. What an interrupted run has placed for a hold-out
+// alone is blind to a light, and not it.
+std::optional<db::ArtifactIdentity> NewestSurface(const ArtifactStore& artifacts) {
+  std::set<std::string> by_all;
+  for (const auto& offset : artifacts.OfStage("offset")) {
+    const Json options = Json::parse(offset.identity.options_json, nullptr, false);
+    if (options.is_object() && options.value("heldout", Json()) == kNoneHeldOut) by_all.insert(offset.identity.Key());
+  }
+  auto records = artifacts.OfStage("placed_shape");
+  std::erase_if(records, [&](const db::ArtifactRecord& placed) {
+    const auto offset = placed.identity.inputs.find("offset");
+    return offset == placed.identity.inputs.end() || !by_all.contains(offset->second);
+  });
+  for (db::ArtifactRecord& shape : artifacts.OfStage("shape")) records.push_back(std::move(shape));
+  const auto newest = std::ranges::max_element(records, {}, [](const auto& record) { return record.finished_wall.ns; });
+  return newest == records.end() ? std::nullopt : std::optional(newest->identity);
+}
+
 // Of a session without a fit: what a run has left so far, or `reconstruct`.
 Result<Loaded> LoadFromShape(const SessionExportOptions& options, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const auto chosen, ChooseSession(options.store, options.session, SessionUse::kVisitor, logger));
@@ -67,10 +87,9 @@ Result<Loaded> LoadFromShape(const SessionExportOptions& options, Logger& logger
   SLX_ASSIGN_OR_RETURN(const db::FileSeal seal, db::FindSeal(frames.store(), session));
   SLX_ASSIGN_OR_RETURN(auto artifacts, ArtifactStore::Open(frames.folder(), PlainFiles(seal), logger));
   SLX_ASSIGN_OR_RETURN(const UniqueFd used, artifacts.Use());
-  auto records = artifacts.OfStage("placed_shape");
-  if (records.empty()) records = artifacts.OfStage("shape");
-  if (records.empty()) return none;
-  SLX_ASSIGN_OR_RETURN(const Artifact artifact, artifacts.Read(records.front().identity));
+  const auto newest = NewestSurface(artifacts);
+  if (!newest) return none;
+  SLX_ASSIGN_OR_RETURN(const Artifact artifact, artifacts.Read(*newest));
   Loaded loaded;
   SLX_RETURN_IF_ERROR(artifacts.ReadFiles(artifact, [&](const fs::path& folder) -> Status {
     SLX_ASSIGN_OR_RETURN(loaded.surface, LoadBareSurface(folder));
@@ -78,8 +97,7 @@ Result<Loaded> LoadFromShape(const SessionExportOptions& options, Logger& logger
   }));
   loaded.sealed = seal.active();
   loaded.surface.origin.session = session;
-  logger.Info("session " + session + " has no fit: the surface of its stage " + records.front().identity.stage +
-              ", without colour");
+  logger.Info("session " + session + " has no fit: the surface of its stage " + newest->stage + ", without colour");
   return loaded;
 }
 

@@ -11,6 +11,7 @@
 #include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
 
+#include "db/catalogue/artifact_record.h"
 #include "db/privacy/access_log.h"
 #include "fitter/export/exr_file.h"
 #include "fitter/pipeline/key_lock.h"
@@ -201,6 +202,47 @@ TEST_F(Export, OfASessionWithoutAFitIsItsSurface) {
     EXPECT_THAT(damaged.out, HasSubstr(file.string()));
     EXPECT_FALSE(fs::exists(folder_ / "no"));
   }
+}
+
+// A run that ended between two hold-outs has placed the surface by some of the lights last.
+TEST_F(Export, OfASessionWithoutAFitIsTheSurfaceByAllLights) {
+  const fs::path store = Fitted("store"), artifacts = Session(store) / "artifacts";
+  const auto records = [&](const std::string& stage) {
+    std::vector<db::ArtifactRecord> of_stage;
+    for (const auto& entry : fs::directory_iterator(artifacts))
+      if (entry.path().filename().string().starts_with(stage + "-"))
+        of_stage.push_back(*db::ReadArtifactRecord(entry.path()));
+    return of_stage;
+  };
+  // `record`'s files under another identity, finished a second later; of the surface they are no surface.
+  const auto put = [&](const db::ArtifactRecord& record, db::ArtifactIdentity identity) {
+    db::ArtifactRecord other = record;
+    other.identity = std::move(identity);
+    other.finished_wall.ns += 1'000'000'000;
+    const fs::path folder = artifacts / other.identity.FolderName();
+    fs::copy(artifacts / record.identity.FolderName(), folder);
+    fs::permissions(folder, fs::perms::owner_all);
+    fs::remove(folder / "artifact.json");
+    WriteText(folder / "artifact.json", db::ToJson(other));
+    if (other.identity.stage != "placed_shape") return;
+    fs::remove(folder / "position.exr");
+    WriteText(folder / "position.exr", "no map");
+  };
+  ASSERT_EQ(records("offset").size(), 1U);
+  ASSERT_EQ(records("placed_shape").size(), 1U);
+  const db::ArtifactRecord offset = records("offset")[0], placed = records("placed_shape")[0];
+  Json options = Json::parse(offset.identity.options_json);
+  options["heldout"] = 1;
+  db::ArtifactIdentity blind = offset.identity, blind_placed = placed.identity;
+  blind.options_json = options.dump();
+  blind_placed.inputs["offset"] = blind.Key();
+  put(offset, blind);
+  put(placed, blind_placed);
+  fs::remove_all(Session(store) / "fits");
+  ASSERT_EQ(Db(store, "reindex").code, 0);
+  const Outcome bare = Fit(store, To(folder_ / "face"));
+  EXPECT_EQ(bare.code, 0) << bare.out;
+  EXPECT_THAT(bare.out, HasSubstr("the surface of its stage placed_shape"));
 }
 
 // Fits of programs that had no skin stage.
