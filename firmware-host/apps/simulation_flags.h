@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "firmware-host/config/rig_config.h"
+#include "firmware-host/simulated/scene/description.h"
 #include "firmware-host/simulated/simulated_rig.h"
 #include "shared/base/result.h"
 
@@ -40,9 +41,7 @@ template <typename Command>
 void AddSimulate(Command& command, SimulationFlags& flags, const std::string& what) {
   command
       .add_option("--simulate", flags.scene,
-                  what +
-                      "; a scene file (docs/simulated-rig.md) or a plain shape: head (default), plane, "
-                      "sphere, white, ramp, chart, checkerboard, charuco, bowl, slab, bald, face")
+                  what + "; a scene file (docs/simulated-rig.md) or one of these: " + PlainSceneNames())
       ->expected(0, 1)
       ->default_str("head");
 }

@@ -2,6 +2,7 @@
 #include "firmware-host/simulated/scene/description.h"
 
 #include <algorithm>
+#include <span>
 #include <string_view>
 
 #include "firmware-host/simulated/mesh/surface.h"
@@ -256,9 +257,14 @@ Result<SceneDescription> SceneOfName(const std::string& name) {
   }
   const auto shape = ParseShapeKind(name);
   if (!shape.ok())
-    return Status::Usage("scene '" + name + "' is unknown; allowed: " + Names(kShapes) +
-                         ", bald, or a scene file ending in .toml");
+    return Status::Usage("scene '" + name + "' is unknown; allowed: " + PlainSceneNames() +
+                         ", or a scene file ending in .toml");
   return SceneDescription::Of(*shape);
+}
+
+std::string PlainSceneNames() {
+  static_assert(kShapes.back() == "mesh");
+  return Names(std::span(kShapes).first(kShapes.size() - 1)) + ", bald";
 }
 
 }  // namespace stratalux::rig

@@ -142,6 +142,8 @@ struct SceneDescription {
 
 // The plain scene of a shape's name, or of "bald", a head that is HeadDescription::Bald(); kUsage lists the names.
 [[nodiscard]] Result<SceneDescription> SceneOfName(const std::string& name);
+// "head, plane, ..., bald": without those that need a file.
+[[nodiscard]] std::string PlainSceneNames();
 // Reads the scene's own tables of `root` and leaves others to the caller.
 [[nodiscard]] Result<SceneDescription> ReadScene(TomlTable& root);
 

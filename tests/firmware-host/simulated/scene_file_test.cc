@@ -3,6 +3,7 @@
 #include <cmath>
 #include <filesystem>
 #include <fstream>
+#include <sstream>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -37,6 +38,20 @@ TEST_F(SceneFile, AnEmptyFileIsTheDefaultVisitor) {
       ASSERT_EQ(described.Height(x, y), head.Height(x, y));
       ASSERT_EQ(described.Skin({x, y, 0}).melanin, head.Skin({x, y, 0}).melanin);
     }
+}
+
+TEST_F(SceneFile, EveryPlainSceneThatIsNamedIsOne) {
+  std::istringstream names(PlainSceneNames());
+  int count = 0;
+  for (std::string name; std::getline(names >> std::ws, name, ',');) {
+    const auto scene = LoadSimulation(name);
+    ASSERT_TRUE(scene.ok()) << scene.status().message();
+    EXPECT_TRUE(scene->scene.Validate().ok()) << name;
+    ++count;
+  }
+  EXPECT_GE(count, 11);
+  EXPECT_NE(LoadSimulation("cube").status().message().find("'cube' is unknown; allowed: " + PlainSceneNames()),
+            std::string::npos);
 }
 
 TEST_F(SceneFile, EveryComplaintNamesFileLineAndRemedy) {
