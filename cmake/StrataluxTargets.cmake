@@ -92,31 +92,43 @@ function(stratalux_program name)
   stratalux_manual(${name} ${ARG_PACKAGE})
 endfunction()
 
-# stratalux_test_build(TARGET): how a test is compiled. Of its own lines little needs speed (but without any optimisation
-# those that solve with Eigen take twenty times as long), and GoogleTest's headers are read once for all: otherwise tests
-# take most of the time that the whole build takes.
+# stratalux_test_build(TARGET [COMPUTES]): how a test is compiled, and GoogleTest's headers read once for all: otherwise tests
+# take most of the time that the whole build takes. Without optimisation a test compiles in two thirds of the time, and those
+# whose own lines solve with Eigen take twenty times as long to run: these are the ones that say COMPUTES.
 function(stratalux_test_build name)
+  cmake_parse_arguments(ARG "COMPUTES" "" "" ${ARGN})
+  if(ARG_COMPUTES)
+    set(headers stratalux_test_headers)
+    set(level -O1)
+  else()
+    set(headers stratalux_plain_test_headers)
+    set(level -O0)
+  endif()
   target_compile_definitions(${name} PRIVATE STRATALUX_SOURCE_DIR="${CMAKE_SOURCE_DIR}" STRATALUX_BIN_DIR="${CMAKE_BINARY_DIR}/bin")
-  target_compile_options(${name} PRIVATE $<$<CONFIG:Release>:-O1> "${STRATALUX_PRECOMPILED_OPTIONS}")
+  target_compile_options(${name} PRIVATE $<$<CONFIG:Release>:${level}> "${STRATALUX_PRECOMPILED_OPTIONS}")
   target_link_libraries(${name} PRIVATE GTest::gtest GTest::gmock GTest::gtest_main)
   # Where sources are compiled several together (CMAKE_UNITY_BUILD): a sample of tests takes 61 s one by one, 42 s in fours.
   set_target_properties(${name} PROPERTIES UNITY_BUILD_BATCH_SIZE 4)
-  if(NOT name STREQUAL "stratalux_test_headers")
-    target_precompile_headers(${name} REUSE_FROM stratalux_test_headers)
+  if(NOT name STREQUAL headers)
+    target_precompile_headers(${name} REUSE_FROM ${headers})
   endif()
 endfunction()
 if(STRATALUX_BUILD_TESTS)
-  # A program, since tests are: headers read with other flags could not be used.
+  # Programs, since tests are: headers read with other flags could not be used.
   file(CONFIGURE OUTPUT "${CMAKE_BINARY_DIR}/generated/test_headers.cc" CONTENT "" @ONLY)
-  add_executable(stratalux_test_headers "${CMAKE_BINARY_DIR}/generated/test_headers.cc")
-  target_precompile_headers(stratalux_test_headers PRIVATE ${STRATALUX_HEADERS} <gmock/gmock.h> <gtest/gtest.h>)
-  target_link_libraries(stratalux_test_headers PRIVATE Eigen3::Eigen)
-  stratalux_test_build(stratalux_test_headers)
+  foreach(headers stratalux_test_headers stratalux_plain_test_headers)
+    add_executable(${headers} "${CMAKE_BINARY_DIR}/generated/test_headers.cc")
+    target_precompile_headers(${headers} PRIVATE ${STRATALUX_HEADERS} <gmock/gmock.h> <gtest/gtest.h>)
+    target_link_libraries(${headers} PRIVATE Eigen3::Eigen)
+  endforeach()
+  stratalux_test_build(stratalux_test_headers COMPUTES)
+  stratalux_test_build(stratalux_plain_test_headers)
 endif()
 
-# stratalux_tests(NAME LABEL unit|integration SOURCES x_test.cc ... DEPS ...): one test binary a folder, one ctest a TEST().
+# stratalux_tests(NAME [COMPUTES] LABEL unit|integration SOURCES x_test.cc ... DEPS ...): one test binary a folder, one ctest
+# a TEST().
 function(stratalux_tests name)
-  cmake_parse_arguments(ARG "" "LABEL;TIMEOUT" "SOURCES;DEPS" ${ARGN})
+  cmake_parse_arguments(ARG "COMPUTES" "LABEL;TIMEOUT" "SOURCES;DEPS" ${ARGN})
   if(NOT ARG_LABEL)
     set(ARG_LABEL unit)
   endif()
@@ -125,7 +137,11 @@ function(stratalux_tests name)
   endif()
   add_executable(${name} ${ARG_SOURCES})
   target_link_libraries(${name} PRIVATE ${ARG_DEPS})
-  stratalux_test_build(${name})
+  if(ARG_COMPUTES)
+    stratalux_test_build(${name} COMPUTES)
+  else()
+    stratalux_test_build(${name})
+  endif()
   if(ARG_LABEL STREQUAL unit)
     add_dependencies(unit_tests ${name})
   endif()

@@ -184,7 +184,7 @@ TEST_F(KioskForgetting, WhatAKillInTheMidstOfACaptureLeftGoesAtTheNextStart) {
 
 TEST_F(KioskForgetting, AWholeSessionWithoutATicketGoesToo) {
   Simulate(options_.station, "sphere");
-  options_.station.simulated->faults.script = {*ParseFault("subject_moved@150=3")};
+  options_.station.simulated->faults.script = {*ParseFault("subject_moved@200=3")};
   KillOnShow({Manner::kVisit}, [](const action::Show& screen) { return screen.screen == Phase::kGate; });
   ASSERT_THAT(Sessions(), SizeIs(1));
   EXPECT_EQ(Sessions()[0].info.status, SessionStatus::kDegraded) << "finished before the kill";
