@@ -16,7 +16,7 @@ struct SmoothOptions {
   // many standard deviations about them have a point in common.
   double agreement_sigmas = 2.0;
   double robust_scale = 3.0;  // Geman-McClure scale of the fit's residuals, in sigmas
-  int min_samples = 8;        // quads in a window; fewer: the next one; in none as many: the quad is dropped
+  int min_samples = 8;        // quads in the smallest window; fewer: the quad is dropped
   [[nodiscard]] Status Validate() const;
 };
 

@@ -211,8 +211,7 @@ template <typename PixelLight>
 Image<float> ForEachPixel(const MixtureMap& map, const SurfaceMap& surface, const RigCalibration& rig,
                           const LitSurface& lit, const RenderOptions& options, const PixelLight& light_of) {
   Image<float> image(surface.width(), surface.height(), map.channels);
-  std::vector<std::vector<Eigen::Vector2d>> sites;
-  for (int c = 0; c < map.channels; ++c) sites.push_back(QuadSites(rig.camera.cfa, c));
+  const auto sites = QuadSites(rig.camera.cfa);
   ParallelFor(surface.height(), 2, [&](int64_t begin, int64_t end) {
     for (int j = static_cast<int>(begin); j < end; ++j)
       for (int i = 0; i < surface.width(); ++i) {
@@ -238,8 +237,7 @@ std::vector<Image<float>> RenderSubsurface(const MixtureMap& map, const SurfaceM
                                            const RenderOptions& options) {
   std::vector<Image<float>> images(lights.size(), Image<float>(surface.width(), surface.height(), map.channels));
   if (lights.empty()) return images;
-  std::vector<std::vector<Eigen::Vector2d>> sites;
-  for (int c = 0; c < map.channels; ++c) sites.push_back(QuadSites(rig.camera.cfa, c));
+  const auto sites = QuadSites(rig.camera.cfa);
   ParallelFor(surface.height(), 2, [&](int64_t begin, int64_t end) {
     QuadLayers layers(map, lit, lights.front());
     SeenBlocks seen;

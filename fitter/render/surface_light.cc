@@ -83,8 +83,7 @@ std::vector<Image<float>> SurfaceIrradiance(const SurfaceMap& surface, const Rig
                                             std::span<const LitPyramid> lights) {
   const int channels = QuadChannels(rig.camera.cfa);
   std::vector<Image<float>> images(lights.size(), Image<float>(surface.width(), surface.height(), channels));
-  std::vector<std::vector<Eigen::Vector2d>> sites;
-  for (int c = 0; c < channels; ++c) sites.push_back(QuadSites(rig.camera.cfa, c));
+  const auto sites = QuadSites(rig.camera.cfa);
   ParallelFor(surface.height(), 8, [&](int64_t begin, int64_t end) {
     for (int j = static_cast<int>(begin); j < end; ++j)
       for (int i = 0; i < surface.width(); ++i) {

@@ -27,7 +27,13 @@ namespace stratalux {
       if (CfaColour(cfa, x, y) == channel) sites.emplace_back(x - 0.5, y - 0.5);
   return sites;
 }
-// Their mean.
+// The same of each colour.
+[[nodiscard]] inline std::vector<std::vector<Eigen::Vector2d>> QuadSites(Cfa cfa) {
+  std::vector<std::vector<Eigen::Vector2d>> sites;
+  for (int channel = 0; channel < QuadChannels(cfa); ++channel) sites.push_back(QuadSites(cfa, channel));
+  return sites;
+}
+// Mean of those of one colour.
 [[nodiscard]] inline Eigen::Vector2d QuadSiteOffset(Cfa cfa, int channel) {
   const auto sites = QuadSites(cfa, channel);
   return (sites.front() + sites.back()) / 2.0;

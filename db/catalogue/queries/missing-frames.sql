@@ -1,6 +1,7 @@
 -- missing-frames: Which planned steps have no good frame?
--- A good frame is one whose level check did not fail. Complete sessions have proven every step when they were captured;
--- `stratalux-db verify` looks at them again. The view missing_frames, with its parameters.
+-- A good frame is one whose level check did not fail, neither when it was stored nor by what the capture found later.
+-- Complete sessions have proven every step when they were captured; `stratalux-db verify` looks at them again. The view
+-- missing_frames, with its parameters.
 -- parameters: since until rig limit
 -- column session      text   id
 -- column started      time   UTC
