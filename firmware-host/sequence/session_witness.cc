@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What must add up over all projectors.
 #include <Eigen/Dense>
+#include <algorithm>
 #include <cmath>
 
 #include "firmware-host/sequence/pattern_witness.h"
@@ -38,6 +39,7 @@ std::vector<Finding> PatternWitness::CheckSession() const {
   if (rest > options_.still_tolerance)  // no gain means anything then
     return {{.kind = FindingKind::kMoved, .value = rest, .limit = options_.still_tolerance}};
   std::vector<Finding> findings;
+  bool brighter = false, dimmer = false;
   // Of each gain's own uncertainty: alike pictures of two projectors are told apart badly.
   const Eigen::MatrixXd covariance = solver.solve(Eigen::MatrixXd::Identity(projectors, projectors));
   Eigen::Index p = 0;
@@ -46,9 +48,15 @@ std::vector<Finding> PatternWitness::CheckSession() const {
     const double limit = options_.steady_tolerance + 4.0 * deviation;
     if (std::abs(gain[p] - 1.0) > limit)
       findings.push_back({.kind = FindingKind::kLamp, .projector = projector, .value = gain[p], .limit = limit});
+    brighter |= gain[p] > 1.0 + limit;
+    dimmer |= gain[p] < 1.0 - limit;
     ++p;
   }
-  return findings;
+  if (!brighter || !dimmer) return findings;
+  // Lamps age and sag; who moves comes nearer to one and leaves another.
+  const Finding& most =
+      *std::ranges::max_element(findings, {}, [](const Finding& f) { return std::abs(f.value - 1.0); });
+  return {{.kind = FindingKind::kMoved, .value = std::abs(most.value - 1.0), .limit = most.limit}};
 }
 
 }  // namespace stratalux::rig

@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // The sequencer on the simulated rig: scattering skin, noise and blur must raise no false alarm.
+#include <algorithm>
 #include <map>
+#include <string>
+#include <vector>
 
 #include <gtest/gtest.h>
 
@@ -18,6 +21,51 @@ class CountingSink : public FrameSink {
   }
   std::map<std::pair<CapturePhase, LevelCheck>, int> checks;
 };
+
+// A matt sphere before the default plan, its findings.
+std::vector<Finding> FindingsOfASphere(const Fault& fault) {
+  Logger logger(LogLevel::kError);
+  SimulatedRigOptions rig_options;
+  rig_options.camera_width = 174;
+  rig_options.camera_height = 130;
+  rig_options.scene = "sphere";
+  rig_options.scattering = false;
+  rig_options.faults.script = {fault};
+  auto rig = SimulatedRig::Create(rig_options, logger);
+  EXPECT_TRUE(rig.ok()) << rig.status().message();
+  if (!rig.ok()) return {};
+  SequencerOptions options;
+  options.shooter.wait = [&](std::chrono::nanoseconds time) { (*rig)->Sleep(time); };
+  StopToken stop;
+  const auto light = GuardLight(**rig, stop);
+  EXPECT_TRUE(light.ok()) << light.status().message();
+  if (!light.ok()) return {};
+  Sequencer sequencer({**light, (*rig)->lines(), (*rig)->camera(), (*rig)->projectors()}, options, logger);
+  CountingSink sink;
+  const auto report = sequencer.Run(*BuildPlan({}), sink);
+  EXPECT_TRUE(report.ok()) << report.status().message();
+  return report.ok() ? report->findings : std::vector<Finding>();
+}
+
+// Between two projectors no white and no comb tells: only that the projectors' whites no longer add up to the
+// pre-roll's.
+TEST(SimulatedCapture, WhoMovesBetweenTwoProjectorsHasMovedAndALampIsALamp) {
+  const CapturePlan plan = *BuildPlan({});
+  const auto says = [](const std::vector<Finding>& findings, FindingKind kind) {
+    return std::ranges::any_of(findings, [kind](const Finding& f) { return f.kind == kind; });
+  };
+  for (const int projector : {2, 3}) {
+    const auto first =
+        std::ranges::find_if(plan.steps, [projector](const PlanStep& step) { return step.projector == projector; });
+    const int at = static_cast<int>(first - plan.steps.begin());
+    const auto moved = FindingsOfASphere({.kind = FaultKind::kSubjectMoved, .at = at, .value = 3.0});
+    EXPECT_TRUE(says(moved, FindingKind::kMoved)) << projector << ::testing::PrintToString(ToText(moved));
+    EXPECT_FALSE(says(moved, FindingKind::kLamp)) << projector << ::testing::PrintToString(ToText(moved));
+    const auto lamp = FindingsOfASphere({.kind = FaultKind::kLampDrift, .at = at, .value = 0.85});
+    EXPECT_TRUE(says(lamp, FindingKind::kLamp)) << projector << ::testing::PrintToString(ToText(lamp));
+    EXPECT_FALSE(says(lamp, FindingKind::kMoved)) << projector << ::testing::PrintToString(ToText(lamp));
+  }
+}
 
 TEST(SimulatedCapture, AVisitorIsCompleteAndEveryCodedFrameIsWitnessed) {
   Logger logger(LogLevel::kWarning);
