@@ -69,7 +69,8 @@ def install(build, prefix):
     subprocess.run(["cmake", "--install", build, "--prefix", prefix], check=True, stdout=subprocess.DEVNULL)
     programs = ["stratalux-rig", "stratalux-db", "stratalux-fit", "stratalux-skin-table"]
     wanted = [f"bin/{program}" for program in programs]
-    wanted += ["share/stratalux/skin_table.bin", "share/stratalux/wax_table.bin", "share/doc/stratalux/privacy.md"]
+    wanted += [f"share/stratalux/{table}_table.bin" for table in ("skin", "subcutis", "wax")]
+    wanted += ["share/doc/stratalux/privacy.md"]
     wanted += ["share/doc/stratalux/examples/rig.toml", "lib/sysusers.d/stratalux.conf", "lib/tmpfiles.d/stratalux.conf"]
     wanted += ["lib/udev/rules.d/60-stratalux.rules", "lib/systemd/system/stratalux-safe.service"]
     for unit in ("purge", "verify", "pull"):

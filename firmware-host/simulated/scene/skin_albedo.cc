@@ -9,6 +9,7 @@ float SkinAlbedo::operator()(int channel, const SkinParameters& parameters) cons
   const SkinTable::NodeAlbedos& logarithms = table_.LogAlbedos();
   float sum = 0.0F;
   for (const SkinNodeWeight& n : table_.NodesAround(parameters)) sum += n.weight * logarithms[channel][n.node];
+  if (!parameters.UsualSubcutis()) sum += table_.SubcutisLogAlbedo(channel, parameters);
   return std::exp(sum);
 }
 

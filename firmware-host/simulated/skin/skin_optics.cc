@@ -25,10 +25,10 @@ std::array<double, 3> SkinAbsorption(int channel, const SkinParameters& paramete
   const double baseline = BaselinePerCm(nm);
   const double m = parameters.melanin, b = parameters.blood;
   return {0.1 * (m * MelanosomePerCm(nm) + (1.0 - m) * baseline),
-          0.1 * (b * BloodPerCm(channel) + (1.0 - b) * baseline), 0.1 * baseline};
+          0.1 * (b * BloodPerCm(channel) + (1.0 - b) * baseline), parameters.subcutis_absorption * (0.1 * baseline)};
 }
 
-Tissue ClearSkin(int channel, std::span<const double> borders_mm, double scattering) {
+Tissue ClearSkin(int channel, std::span<const double> borders_mm, double scattering, double skin_mm) {
   const double nm = kSkinWavelengthNm[channel];
   const double g = 0.62 + 0.29e-3 * nm;
   const double skin = scattering * 0.1 * 46.0 * std::pow(nm / 500.0, -1.421) / (1.0 - g);
@@ -39,14 +39,14 @@ Tissue ClearSkin(int channel, std::span<const double> borders_mm, double scatter
     tissue.layers.push_back({kSkinIndex, 0.0, skin, g, border - top});
     top = border;
   }
-  tissue.layers.push_back({kSkinIndex, 0.0, skin, g, kSkinMm - top});
+  tissue.layers.push_back({kSkinIndex, 0.0, skin, g, skin_mm - top});
   tissue.layers.push_back({kSkinIndex, 0.0, subcutis, g, std::numeric_limits<double>::infinity()});
   return tissue;
 }
 
 Tissue AbsorbingSkin(int channel, const SkinParameters& parameters) {
   const std::array<double, 1> border = {parameters.epidermis_mm};
-  Tissue tissue = ClearSkin(channel, border, parameters.scattering);
+  Tissue tissue = ClearSkin(channel, border, parameters.scattering, parameters.skin_mm);
   const auto absorption = SkinAbsorption(channel, parameters);
   for (size_t l = 0; l < tissue.layers.size(); ++l) tissue.layers[l].mu_a_per_mm = absorption[l];
   return tissue;

@@ -13,6 +13,8 @@
 #include <nlohmann/json.hpp>
 
 #include "firmware-host/simulated/skin/skin_table_code.h"
+#include "firmware-host/simulated/skin/subcutis_table.h"
+#include "shared/base/check.h"
 #include "shared/base/formatted.h"
 #include "shared/base/program_data.h"
 #include "shared/base/version.h"
@@ -325,13 +327,16 @@ double SkinKernel::Integral() const {
 }
 
 SkinNodes SkinTable::NodesAround(const SkinParameters& parameters) const {
+  if (!scatterings().empty()) return SkinNodesAround(scatterings(), parameters);
   SkinNodes nodes;
-  if (scatterings().empty()) {
-    nodes.Add({0, 1.0F});
-    return nodes;
-  }
+  nodes.Add({0, 1.0F});
+  return nodes;
+}
+
+SkinNodes SkinNodesAround(const std::vector<double>& scatterings, const SkinParameters& parameters) {
+  SkinNodes nodes;
   const auto skins = SkinNodesAround(parameters);
-  const auto [first, f] = ScatteringsAround(scatterings(), parameters.scattering);
+  const auto [first, f] = ScatteringsAround(scatterings, parameters.scattering);
   for (const auto& [scattering, share] : {std::pair{first, 1.0F - f}, std::pair{first + 1, f}}) {
     if (share == 0.0F) continue;
     for (const SkinNodeWeight& skin : skins)
@@ -421,6 +426,14 @@ void SkinTable::Interpolate(int channel, const SkinParameters& parameters, const
         mirror.Add(weight, cells.data(), sum);
       }
     }
+  if (!parameters.UsualSubcutis() && !scatterings().empty()) {
+    SLX_CHECK(subcutis() != nullptr);
+    const SubcutisTable::Rings rings = subcutis()->LogRatio(channel, parameters, directions);
+    for (int r = 0; r < G::kRadii; ++r) {
+      const float ratio = std::exp(rings[r]);
+      for (int psi = 0; psi < G::kPolar; ++psi) sum[r * G::kPolar + psi] *= ratio;
+    }
+  }
   out.SetRingMeans(sum);
 }
 

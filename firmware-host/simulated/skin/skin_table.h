@@ -73,6 +73,8 @@ class SkinNodes {
   std::array<SkinNodeWeight, 16> nodes_{};
   int count_ = 0;
 };
+// Of a table with these nodes of scattering, rising, at least one. Clamped outside the nodes.
+[[nodiscard]] SkinNodes SkinNodesAround(const std::vector<double>& scatterings, const SkinParameters& parameters);
 
 struct SkinDirections {
   float theta_in_rad = 0.0F;
@@ -103,6 +105,8 @@ class SkinKernel {
   std::array<float, SkinGrid::kRadii*(SkinGrid::kPolar + 1)> flat_{};
 };
 
+class SubcutisTable;  // subcutis_table.h
+
 struct SkinTableRun {
   int64_t photons = 1000000;  // for each channel, incidence bin and scattering
   uint64_t seed = 1;
@@ -118,9 +122,13 @@ class SkinTable {
   // The shipped tables' files.
   static constexpr const char* kSkinFile = "skin_table.bin";
   static constexpr const char* kWaxFile = "wax_table.bin";
-  // Where a shipped table may lie: where STRATALUX_SKIN_TABLE says (wax: beside it), else in share/stratalux beside the
-  // program's folder, then in the data folder that the build was to be installed in.
+  // Where a shipped table may lie: where STRATALUX_SKIN_TABLE says (others: beside it), else in share/stratalux beside
+  // the program's folder, then in the data folder that the build was to be installed in.
   static std::vector<std::string> DefaultPlaces(const std::string& file);
+  // Knows other subcutis than its own.
+  [[nodiscard]] SkinTable With(SubcutisTable subcutis) const;
+  // Null where it does not.
+  [[nodiscard]] const SubcutisTable* subcutis() const;
   // The first of them that is there; where none is, the first.
   static std::string DefaultPath() { return DefaultPathOf(kSkinFile); }
   static std::string DefaultWaxPath() { return DefaultPathOf(kWaxFile); }
@@ -128,7 +136,8 @@ class SkinTable {
   Status Save(const std::string& path, int level = 19) const;
 
   // S over the Fresnel transmittances of its two directions is linear in sin(theta) (through the normal: a theta below
-  // the first node lies between it and its mirror image) and in azimuth; its logarithm over NodesAround.
+  // the first node lies between it and its mirror image) and in azimuth; its logarithm over NodesAround. Precondition
+  // (as of all that follows from it): subcutis() is there, or parameters.UsualSubcutis().
   void Interpolate(int channel, const SkinParameters& parameters, const SkinDirections& directions,
                    SkinKernel& out) const;
   // Hemispherical diffuse reflectance for light at theta_in.
@@ -148,7 +157,7 @@ class SkinTable {
   }
   // The skin of a node; of a table of wax, any.
   [[nodiscard]] SkinParameters NodeParameters(int node) const;
-  // Clamped outside the nodes.
+  // As SkinNodesAround.
   [[nodiscard]] SkinNodes NodesAround(const SkinParameters& parameters) const;
   // S of one cell (bin averages), 1 / (mm^2 sr).
   [[nodiscard]] double Cell(size_t kernel, int radius, int psi) const;
@@ -163,6 +172,8 @@ class SkinTable {
   // Logarithm of the diffuse albedo for light at 30 degrees, [channel][node]; computed once.
   using NodeAlbedos = std::array<std::vector<float>, kSkinChannels>;
   [[nodiscard]] const NodeAlbedos& LogAlbedos() const;
+  // What the skin's subcutis adds to it, by the kinds of subcutis around; 0 for the table's own. Also computed once.
+  [[nodiscard]] float SubcutisLogAlbedo(int channel, const SkinParameters& parameters) const;
 
  private:
   struct Contents {
@@ -184,7 +195,10 @@ class SkinTable {
   // S r^1.5 of one direction: `first_kernel` is that of its node 0.
   void DecodeCells(size_t first_kernel, const SkinNodes& nodes, float* cells) const;
 
+  struct Subcutis;  // other kinds, and their albedos
+
   std::shared_ptr<const Contents> contents_;
+  std::shared_ptr<const Subcutis> subcutis_;
 };
 
 // Monte Carlo of every kernel. Deterministic by seed, so that what a table of `made` holds of the same run is taken

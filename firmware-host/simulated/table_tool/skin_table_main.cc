@@ -15,6 +15,7 @@
 
 #include "firmware-host/simulated/skin/skin_table.h"
 #include "firmware-host/simulated/skin/skin_table_check.h"
+#include "firmware-host/simulated/skin/subcutis_table_check.h"
 #include "firmware-host/simulated/table_tool/line_spread.h"
 #include "firmware-host/simulated/table_tool/people.h"
 #include "shared/base/formatted.h"
@@ -29,17 +30,33 @@ int Report(Logger& logger, const Status& status) {
   return status.exit_code();
 }
 
-// `scatterings`: none of wax. `made`: files of tables whose nodes may be taken.
-int Generate(const std::string& out, const SkinTableRun& run, const std::vector<double>& scatterings,
+// Found out before the photons run, not hours after.
+Status CheckWritable(const std::string& out) {
+  const std::filesystem::path folder = std::filesystem::absolute(out).parent_path();
+  if (std::filesystem::is_directory(out)) return Status::Failed("cannot write " + out + ": it is a folder");
+  if (access(folder.c_str(), W_OK) != 0) return Status::Failed("cannot write " + out + ": " + std::strerror(errno));
+  return Status::Ok();
+}
+
+// Makes a table and keeps it.
+template <typename Make>
+int MakeTable(const std::string& out, Logger& logger, const Make& make) {
+  const auto start = std::chrono::steady_clock::now();
+  const auto table = make();
+  if (!table.ok()) return Report(logger, table.status());
+  const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  const Status saved = table->Save(out);
+  if (saved.ok()) logger.Info(Formatted("%s: made in %.1f s, %s", out.c_str(), seconds, table->manifest().c_str()));
+  return Report(logger, saved);
+}
+
+enum class TableKind { kSkin, kWax, kSubcutis };
+
+// `made`: files of skin tables whose nodes may be taken.
+int Generate(TableKind kind, const std::string& out, const SkinTableRun& run, const std::vector<double>& scatterings,
              const std::vector<std::string>& made) {
   Logger logger;
-  // Found out before the photons run, not hours after.
-  const std::filesystem::path folder = std::filesystem::absolute(out).parent_path();
-  if (std::filesystem::is_directory(out))
-    return Report(logger, Status::Failed("cannot write " + out + ": it is a folder"));
-  if (access(folder.c_str(), W_OK) != 0)
-    return Report(logger, Status::Failed("cannot write " + out + ": " + std::strerror(errno)));
-  const auto start = std::chrono::steady_clock::now();
+  if (const Status writable = CheckWritable(out); !writable.ok()) return Report(logger, writable);
   std::vector<SkinTable> tables;
   for (const std::string& file : made) {
     const auto table = SkinTable::Load(file);
@@ -50,13 +67,17 @@ int Generate(const std::string& out, const SkinTableRun& run, const std::vector<
                                                     static_cast<unsigned long long>(run.seed))));
     tables.push_back(*table);
   }
-  auto table =
-      scatterings.empty() ? GenerateWaxTable(run, logger) : GenerateSkinTable(run, scatterings, tables, logger);
-  if (!table.ok()) return Report(logger, table.status());
-  const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-  const Status saved = table->Save(out);
-  if (saved.ok()) logger.Info(Formatted("%s: made in %.1f s, %s", out.c_str(), seconds, table->manifest().c_str()));
-  return Report(logger, saved);
+  if (kind == TableKind::kSubcutis)
+    return MakeTable(out, logger, [&] { return GenerateSubcutisTable(run, scatterings, logger); });
+  return MakeTable(out, logger, [&] {
+    return kind == TableKind::kWax ? GenerateWaxTable(run, logger)
+                                   : GenerateSkinTable(run, scatterings, tables, logger);
+  });
+}
+
+Status OwnSeed(uint64_t seed) {
+  return Status::Usage(Formatted("--seed %llu: the table's own, whose photons agree with themselves; take another",
+                                 static_cast<unsigned long long>(seed)));
 }
 
 int Check(const std::string& file, const SkinColumn& column, int64_t photons, uint64_t seed) {
@@ -68,10 +89,7 @@ int Check(const std::string& file, const SkinColumn& column, int64_t photons, ui
     return Report(logger,
                   Status::Usage(file + ": has " + std::to_string(table->scatterings().size()) +
                                 " scatterings, numbered from 0; there is no " + std::to_string(column.scattering)));
-  if (table->seed() == seed)
-    return Report(logger, Status::Usage(Formatted("--seed %llu: the table's own, whose photons agree with themselves; "
-                                                  "take another",
-                                                  static_cast<unsigned long long>(seed))));
+  if (table->seed() == seed) return Report(logger, OwnSeed(seed));
   const auto checks = RegenerateSkinCell(*table, column, photons, seed);
   int outside = 0;
   std::printf("%8s %8s %8s %12s %12s %12s %8s\n", "melanin", "blood", "epidermis", "table", "monte carlo", "std error",
@@ -86,19 +104,36 @@ int Check(const std::string& file, const SkinColumn& column, int64_t photons, ui
   return outside == 0 ? 0 : 1;
 }
 
+void PrintRingsHeader(const char* first_columns) {
+  std::printf("%s all light |", first_columns);
+  for (size_t k = 0; k + 1 < kCheckRingsMm.size(); ++k)
+    std::printf(" %g - %g mm |", kCheckRingsMm[k], kCheckRingsMm[k + 1]);
+  std::printf("\n|---|---|---|---|---|---|---|---|---|\n");
+}
+
+// All light and each ring of one colour, of which all light is returned. `missed` becomes true where the root mean
+// square of one exceeds `most`.
+InterpolationSummary PrintRings(const std::vector<InterpolationSample>& samples, int channel, double melanin,
+                                double most, bool& missed) {
+  for (int ring = -1; ring + 1 < static_cast<int>(kCheckRingsMm.size()); ++ring) {
+    const InterpolationSummary s = Summarise(samples, channel, ring, melanin);
+    if (s.samples == 0) {
+      std::printf(" - |");
+    } else {
+      std::printf(" %.1f / %+.1f |", 100.0 * s.rms, 100.0 * s.largest);
+    }
+    missed = missed || s.rms > most;
+  }
+  std::printf("\n");
+  return Summarise(samples, channel, -1, melanin);
+}
+
 void PrintInterpolation(const char* what, const std::vector<InterpolationSample>& samples) {
+  bool ignored = false;
   for (const double melanin : {0.16, 1.0})
     for (int c = 0; c < kSkinChannels; ++c) {
       std::printf("| %s | %s | %c |", what, melanin < 1.0 ? "<= 15 %" : "all", "RGB"[c]);
-      for (int ring = -1; ring + 1 < static_cast<int>(kCheckRingsMm.size()); ++ring) {
-        const InterpolationSummary s = Summarise(samples, c, ring, melanin);
-        if (s.samples == 0) {
-          std::printf(" - |");
-        } else {
-          std::printf(" %.1f / %+.1f |", 100.0 * s.rms, 100.0 * s.largest);
-        }
-      }
-      std::printf("\n");
+      (void)PrintRings(samples, c, melanin, 1.0, ignored);
     }
 }
 
@@ -114,10 +149,7 @@ int CheckBetweenNodes(const std::string& file, const SkinTableRun& run, double s
   options.seed = run.seed;
   options.threads = run.threads;
   options.scattering = scattering;
-  std::printf("| between nodes of | melanin | colour | all light |");
-  for (size_t k = 0; k + 1 < kCheckRingsMm.size(); ++k)
-    std::printf(" %g - %g mm |", kCheckRingsMm[k], kCheckRingsMm[k + 1]);
-  std::printf("\n|---|---|---|---|---|---|---|---|---|\n");
+  PrintRingsHeader("| between nodes of | melanin | colour |");
   options.axes = InterpolationAxes::kAngles;
   PrintInterpolation("angles", CheckInterpolation(*table, options));
   options.axes = InterpolationAxes::kAnglesAndOptics;
@@ -131,6 +163,38 @@ int CheckBetweenNodes(const std::string& file, const SkinTableRun& run, double s
     if (!(std::abs(all.largest) <= 0.05)) return 1;
   }
   return 0;
+}
+
+// Largest deviation that any light of a table of other subcutis may have, and the largest root mean square of a ring.
+constexpr double kMostOfAllLight = 0.02, kMostOfARing = 0.03;
+
+// Markdown, as CheckBetweenNodes; exit 1 where a limit is missed.
+int CheckOtherSubcutis(const std::string& file, const SkinTableRun& run) {
+  Logger logger;
+  const auto table = SubcutisTable::Load(file);
+  if (!table.ok()) return Report(logger, table.status());
+  if (table->scatterings().size() < 2)
+    return Report(logger, Status::Usage(file + ": has one scattering; check takes two and more"));
+  if (table->seed() == run.seed) return Report(logger, OwnSeed(run.seed));
+  bool missed = false;
+  PrintRingsHeader("| subcutis | at | colour |");
+  for (const SubcutisPlaces places : {SubcutisPlaces::kNodes, SubcutisPlaces::kBetween}) {
+    const auto samples =
+        CheckSubcutis(*table, {.photons = run.photons, .seed = run.seed, .threads = run.threads, .places = places});
+    for (const auto& [what, depth, absorption] :
+         {std::tuple{"absorbs more", false, true}, {"less deep", true, false}, {"both", true, true}}) {
+      std::vector<InterpolationSample> of_kind;
+      for (const InterpolationSample& s : samples)
+        if ((s.skin.skin_mm != kSkinMm) == depth && (s.skin.subcutis_absorption != 1.0F) == absorption)
+          of_kind.push_back(s);
+      for (int c = 0; c < kSkinChannels; ++c) {
+        std::printf("| %s | %s | %c |", what, places == SubcutisPlaces::kNodes ? "nodes" : "half-way", "RGB"[c]);
+        const InterpolationSummary all = PrintRings(of_kind, c, 1.0, kMostOfARing, missed);
+        missed = missed || all.samples == 0 || !(std::abs(all.largest) <= kMostOfAllLight);
+      }
+    }
+  }
+  return missed ? 1 : 0;
 }
 
 int Profiles(const LineSpreadOptions& options, const std::string& out) {
@@ -200,8 +264,10 @@ int Main(int argc, char** argv) {
       "Examples:\n"
       "  stratalux-skin-table generate --photons 1000000 --seed 1 --out skin_table.bin\n"
       "  stratalux-skin-table generate --scattering 0.5 0.74 1 --photons 3000000 --out skin_table.bin\n"
+      "  stratalux-skin-table generate --subcutis --scattering 0.5 0.74 1 --photons 1500000 --out subcutis_table.bin\n"
       "  stratalux-skin-table check skin_table.bin --channel 0 --in 1 --exit 2 --azimuth 4\n"
       "  stratalux-skin-table check skin_table.bin --interpolation --photons 200000\n"
+      "  stratalux-skin-table check subcutis_table.bin --subcutis --photons 100000\n"
       "  stratalux-skin-table profiles --melanin 0.03 --blood 0.004 --channel 0 --incidence -45 0 30 --out train.csv\n"
       "  stratalux-skin-table population --people 200 --csv people.csv\n"
       "  stratalux-skin-table population --fit --people 400");
@@ -215,9 +281,15 @@ int Main(int argc, char** argv) {
   LineSpreadOptions profiles;
 
   auto* generate = app.add_subcommand("generate", "Make the whole table");
-  bool wax = false;
-  generate->add_flag("--wax", wax, "The slab of wax instead of skin");
-  generate->add_option("--photons", run.photons, "Photons for each channel, incidence bin and scattering")
+  bool wax = false, subcutis = false;
+  auto* of_wax = generate->add_flag("--wax", wax, "The slab of wax instead of skin");
+  auto* of_subcutis =
+      generate->add_flag("--subcutis", subcutis,
+                         "Instead: what a subcutis that absorbs more or begins less deep does to the skin's light");
+  of_subcutis->excludes(of_wax);
+  generate
+      ->add_option("--photons", run.photons,
+                   "Photons for each channel, scattering and incidence bin (--subcutis: depth of the subcutis)")
       ->check(CLI::PositiveNumber);
   generate->add_option("--seed", run.seed, "Seed");
   generate->add_option("--threads", run.threads, "Threads (0: all cores)");
@@ -226,7 +298,8 @@ int Main(int argc, char** argv) {
                    "The table's nodes of scattering, rising, over that of tissue samples (living skin: 0.6 to 0.7)")
       ->capture_default_str();
   std::vector<std::string> made;
-  generate->add_option("--made", made, "Tables of these photons and this seed: their scatterings are not run again");
+  generate->add_option("--made", made, "Tables of these photons and this seed: their scatterings are not run again")
+      ->excludes(of_subcutis);
   generate->add_option("--out", out, "File to write")->required();
   auto* check =
       app.add_subcommand("check", "Regenerate one cell by other photons and compare; exit 1 beyond 4 standard errors");
@@ -242,6 +315,11 @@ int Main(int argc, char** argv) {
       "--interpolation", interpolation,
       "Instead: the table between its nodes against fresh Monte Carlo, rms / largest deviation in per cent");
   check->add_option("--scattering", between, "With --interpolation: of the skins")->capture_default_str();
+  bool other_subcutis = false;
+  check->add_flag(
+      "--subcutis", other_subcutis,
+      "Instead, of a table of other subcutis: its ratios against fresh Monte Carlo, at its nodes and half-way "
+      "between them; exit 1 where all light is 2 % off or a ring 3 % (rms)");
   check->add_option("--threads", run.threads, "Threads (0: all cores)");
   check->add_option("--photons", run.photons, "Photons")->check(CLI::PositiveNumber);
   uint64_t check_seed = 1001;
@@ -252,6 +330,11 @@ int Main(int argc, char** argv) {
   spread->add_option("--blood", profiles.skin.blood, "Blood fraction of the dermis")->check(CLI::Range(0.0, 1.0));
   spread->add_option("--scattering", profiles.skin.scattering, "Over that of tissue samples")
       ->check(CLI::Range(0.1, 3.0));
+  spread
+      ->add_option("--subcutis-absorption", profiles.skin.subcutis_absorption,
+                   "Of the subcutis, over the skin's baseline")
+      ->check(CLI::Range(0.0, 100.0));
+  spread->add_option("--skin-mm", profiles.skin.skin_mm, "Where the subcutis begins")->check(CLI::Range(0.2, 10.0));
   spread->add_option("--channel", profiles.channel, "0 R, 1 G, 2 B")->check(CLI::Range(0, 2));
   spread->add_option("--incidence", profiles.incidence_deg, "Degrees, > 0 travels towards +u")
       ->check(CLI::Range(-85.0, 85.0));
@@ -284,8 +367,10 @@ int Main(int argc, char** argv) {
   } catch (const CLI::ParseError& error) {
     return app.exit(error) == 0 ? 0 : 2;
   }
-  if (generate->parsed()) return Generate(out, run, wax ? std::vector<double>() : scatterings, made);
+  const TableKind kind = wax ? TableKind::kWax : subcutis ? TableKind::kSubcutis : TableKind::kSkin;
+  if (generate->parsed()) return Generate(kind, out, run, scatterings, made);
   if (check->parsed()) run.seed = check_seed;
+  if (check->parsed() && other_subcutis) return CheckOtherSubcutis(file, run);
   if (check->parsed() && interpolation) return CheckBetweenNodes(file, run, between);
   if (check->parsed()) return Check(file, column, run.photons, run.seed);
   if (population->parsed()) return People(people);
