@@ -10,6 +10,7 @@
 
 #include "firmware-host/simulated/near_field.h"
 #include "firmware-host/simulated/projected_light.h"
+#include "firmware-host/simulated/skin/subcutis_table.h"
 #include "shared/base/parallel.h"
 
 namespace stratalux::rig {
@@ -374,7 +375,22 @@ CacheKey LightTransport::KeyOfLight() const {
                                       block.flux[0],      block.flux[1],      block.flux[2]};
     key.AddBytes(std::as_bytes(std::span(lit)));
   }
+  AddSubcutis(key);
   return key;
+}
+
+// Nothing where all of it is the skin table's.
+void LightTransport::AddSubcutis(CacheKey& key) const {
+  bool usual = true;
+  for (size_t i = 0; i < pixels_.size(); ++i) {
+    const SkinParameters& skin = pixels_[i].material.skin;
+    if (skin.UsualSubcutis()) continue;
+    usual = false;
+    key.Add(i);
+    key.Add(skin.subcutis_absorption);
+    key.Add(skin.skin_mm);
+  }
+  if (!usual && table_.subcutis() != nullptr) key.AddAll(table_.subcutis()->codes());
 }
 
 bool LightTransport::LoadResponses(const LightCache::Digest& columns, const LightCache::Digest& rows) {

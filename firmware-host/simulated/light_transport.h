@@ -81,6 +81,7 @@ class LightTransport {
   void GatherResponses(WorkWatch* watch);
   // Key of what follows from the light at every point: all that ForEachBlock reads.
   [[nodiscard]] CacheKey KeyOfLight() const;
+  void AddSubcutis(CacheKey& key) const;
   [[nodiscard]] bool LoadResponses(const LightCache::Digest& columns, const LightCache::Digest& rows);
   // False where light or view graze the surface: no tangent plane describes the pixel then.
   [[nodiscard]] bool StepsOnTangentPlane(const SubjectPixel& pixel, const PixelLight& light, const Eigen::Vector3d& tx,

@@ -6,6 +6,7 @@
 #include "firmware-host/simulated/scene/face_skin.h"
 #include "firmware-host/simulated/simulated_devices.h"
 #include "firmware-host/simulated/simulation_file.h"
+#include "firmware-host/simulated/skin/subcutis_table.h"
 #include "shared/base/formatted.h"
 
 namespace stratalux::rig {
@@ -42,22 +43,51 @@ Status CheckSkin(const SkinTable& table, const SceneDescription& scene, uint64_t
   return Status::Ok();
 }
 
+std::string Listed(const std::vector<std::string>& places) {
+  std::string list;
+  for (const std::string& place : places) list += (list.empty() ? "" : ", ") + place;
+  return list;
+}
+
+// The table; where the scene's subcutis is another than the table's, with that of other subcutis.
+Result<SkinTable> WithSubcutisOf(const SceneDescription& scene, uint64_t seed, SkinTable table) {
+  seed = scene.seed.value_or(seed);
+  SkinParameters skin = scene.skin.Of(seed);
+  if (!IsSkin(scene) || skin.UsualSubcutis()) return table;
+  const std::string keys =
+      Formatted("[skin] subcutis_absorption = %g, skin_mm = %g", scene.skin.subcutis_absorption, scene.skin.skin_mm);
+  if (table.subcutis() == nullptr) {
+    Result<SubcutisTable> other = SubcutisTable::Load(SubcutisTable::DefaultPath());
+    if (other.status().code() == StatusCode::kNotFound)
+      return Status::NotFound(keys + ": no table of other subcutis; looked for " +
+                              Listed(SkinTable::DefaultPlaces(SubcutisTable::kFile)) +
+                              " (leave the keys out, or make one with `stratalux-skin-table generate --subcutis`)");
+    if (!other.ok()) return other.status().WithContext(keys);
+    table = table.With(*std::move(other));
+  }
+  const ScatteringRange range = ScatteringOf(scene.skin, seed);
+  for (const double scattering : {range.least, range.most}) {
+    skin.scattering = static_cast<float>(scattering);
+    SLX_RETURN_IF_ERROR(table.subcutis()->Check(skin).WithContext(keys));
+  }
+  return table;
+}
+
 Result<SkinTable> TableFor(const SimulatedRigOptions& options, const SceneDescription& scene, uint64_t seed) {
   const bool wax = IsWax(scene);
   const std::string shipped = wax ? SkinTable::DefaultWaxPath() : SkinTable::DefaultPath();
   Result<SkinTable> loaded = SkinTable::Load(options.skin_table.empty() ? shipped : options.skin_table);
   if (loaded.status().code() == StatusCode::kNotFound && options.skin_table.empty()) {
-    std::string places;
-    for (const std::string& place : SkinTable::DefaultPlaces(wax ? SkinTable::kWaxFile : SkinTable::kSkinFile))
-      places += (places.empty() ? "" : ", ") + place;
-    return Status::NotFound("no skin table; looked for " + places + " (STRATALUX_SKIN_TABLE names another place)");
+    return Status::NotFound("no skin table; looked for " +
+                            Listed(SkinTable::DefaultPlaces(wax ? SkinTable::kWaxFile : SkinTable::kSkinFile)) +
+                            " (STRATALUX_SKIN_TABLE names another place)");
   }
   SLX_ASSIGN_OR_RETURN(SkinTable table, std::move(loaded));
   if ((table.nodes() == 1) != wax)
     return Status::Usage("skin table " + options.skin_table + ": of " +
                          (wax ? "skin, the scene is a slab of wax" : "wax, the scene is of skin"));
   SLX_RETURN_IF_ERROR(CheckSkin(table, scene, seed));
-  return table;
+  return WithSubcutisOf(scene, seed, std::move(table));
 }
 
 }  // namespace
@@ -75,6 +105,8 @@ Status SimulatedDevices::SetSubject(const SubjectOptions& subject) {
     table = *other;
   }
   SLX_RETURN_IF_ERROR(CheckSkin(table, simulation.scene, subject.seed));
+  SLX_ASSIGN_OR_RETURN(const SkinTable whole, WithSubcutisOf(simulation.scene, subject.seed, table));
+  if (whole.subcutis() != table.subcutis()) other = table = whole;
   SLX_ASSIGN_OR_RETURN(Scene scene, SubjectOf(subject, simulation.scene, table, logger_));
   const Turn turn(*this);
   const std::lock_guard lock(world_mutex_);

@@ -53,6 +53,7 @@ void World::AddTruthOfShape(const Stage& stage, std::vector<TruthMap>& maps) con
   TruthMap material{"material", Image<float>(width, height)}, part{"class", Image<float>(width, height)};
   TruthMap layers{"layers", Image<float>(width, height, 2, kNaN)}, mixed{"mixed", Image<float>(width, height)};
   TruthMap spread{"spread", Image<float>(width, height, QuadChannels(cfa), kNaN)};
+  TruthMap subcutis{"subcutis", Image<float>(width, height, 2, kNaN)};
   SeenSurface seen{Image<float>(width, height, 3, kNaN), {}, Image<Material>(width, height)};
   for (Material& nothing : seen.material.pixels()) nothing.kind = MaterialKind::kNone;
   ParallelFor(height, 8, [&](int64_t begin, int64_t end) {
@@ -75,6 +76,8 @@ void World::AddTruthOfShape(const Stage& stage, std::vector<TruthMap>& maps) con
         optics.map(i, j, 1) = here.skin.blood;
         layers.map(i, j, 0) = here.skin.epidermis_mm;
         layers.map(i, j, 1) = here.skin.scattering;
+        subcutis.map(i, j, 0) = here.skin.subcutis_absorption;
+        subcutis.map(i, j, 1) = static_cast<float>(here.skin.skin_mm);
         for (int c = 0; c < spread.map.channels() && Scatters(); ++c)
           spread.map(i, j, c) = static_cast<float>(table_.EffectiveWidthMm(c, here.skin));
       }
@@ -84,6 +87,8 @@ void World::AddTruthOfShape(const Stage& stage, std::vector<TruthMap>& maps) con
   maps.push_back({"diffuse normal", DiffuseNormals(seen, table_, camera, cfa)});
   for (TruthMap* map : {&depth, &normal, &mask, &optics, &material, &part, &layers, &mixed, &spread})
     maps.push_back(std::move(*map));
+  const SkinDescription& skin = scene_.description().skin;
+  if (skin.subcutis_absorption != 1.0 || skin.skin_mm != kSkinMm) maps.push_back(std::move(subcutis));
 }
 
 Status World::AddTruthOfLight(Stage& stage, size_t projector, const std::string& name, const Pattern& pattern,

@@ -7,6 +7,7 @@
 
 #include "firmware-host/simulated/mesh/surface.h"
 #include "firmware-host/simulated/skin/population.h"
+#include "firmware-host/simulated/skin/subcutis_table.h"
 #include "shared/config/toml_reader.h"
 
 namespace stratalux::rig {
@@ -83,6 +84,9 @@ Status ReadSkin(TomlTable t, SkinDescription& skin) {
   GetOptional(t, "blood", skin.blood, 0.0005, 0.06);
   GetOptional(t, "epidermis_mm", skin.epidermis_mm, 0.05, 0.15);
   GetOptional(t, "scattering", skin.scattering, 0.1, 3.0);
+  t.Get("subcutis_absorption", skin.subcutis_absorption, SubcutisGrid::kAbsorption.front(),
+        SubcutisGrid::kAbsorption.back());
+  t.Get("skin_mm", skin.skin_mm, SubcutisGrid::kSkinMm.back(), SubcutisGrid::kSkinMm.front());
   t.Get("patches", skin.patches, 0.0, 3.0);
   GetOptional(t, "freckles", skin.freckles, 0, 1000);
   t.Get("vessels", skin.vessels, 0, 20);
@@ -181,6 +185,8 @@ SkinParameters SkinDescription::Of(uint64_t seed) const {
   if (blood) skin.blood = static_cast<float>(*blood);
   if (epidermis_mm) skin.epidermis_mm = static_cast<float>(*epidermis_mm);
   if (scattering) skin.scattering = static_cast<float>(*scattering);
+  skin.subcutis_absorption = static_cast<float>(subcutis_absorption);
+  skin.skin_mm = skin_mm;
   return skin;
 }
 

@@ -51,6 +51,8 @@ struct SkinDescription {
   std::optional<double> blood;    // volume fraction in the dermis
   std::optional<double> epidermis_mm;  // thickness
   std::optional<double> scattering;    // over that of tissue samples; within the skin table's nodes
+  double subcutis_absorption = 1.0;    // over the skin baseline's; of everyone, regions or not, as what follows
+  double skin_mm = kSkinMm;            // where the subcutis begins
   double patches = 1.0;                // strength of the patches of a few centimetres; 0: even skin
   std::optional<int> freckles;         // unset: by seed, 30 to 90
   int vessels = 1;                     // across forehead and temples

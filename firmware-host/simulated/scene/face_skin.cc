@@ -109,8 +109,12 @@ SkinParameters FaceSkin::At(double x, double y) const {
   const auto within = [](double value, const auto& nodes) {
     return static_cast<float>(std::clamp(value, nodes.front(), nodes.back()));
   };
-  return {within(melanin, SkinGrid::kMelanin), within(blood, SkinGrid::kBlood), static_cast<float>(epidermis_mm),
-          static_cast<float>(scattering)};
+  SkinParameters here = cheek_;  // the subcutis is the same everywhere
+  here.melanin = within(melanin, SkinGrid::kMelanin);
+  here.blood = within(blood, SkinGrid::kBlood);
+  here.epidermis_mm = static_cast<float>(epidermis_mm);
+  here.scattering = static_cast<float>(scattering);
+  return here;
 }
 
 SurfaceClass FaceSkin::ClassAt(double x, double y) const {

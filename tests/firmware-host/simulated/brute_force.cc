@@ -152,10 +152,12 @@ bool Visible(const Scene& scene, const Vector3d& point, const Vector3d& lamp) {
 class Walker {
  public:
   explicit Walker(const PixelJob& job) : job_(job), skin_(kGrid * kGrid) {
-    const Tissue clear = ClearSkin(job.colour, {}, job.scene.Skin(job.centre).scattering);  // skin and subcutis
+    const SkinParameters skin = job.scene.Skin(job.centre);
+    const Tissue clear = ClearSkin(job.colour, {}, skin.scattering, skin.skin_mm);  // skin and subcutis
     g_ = clear.layers[0].g;
     scatter_ = {clear.layers[0].mu_s_per_mm, clear.layers[0].mu_s_per_mm, clear.layers[1].mu_s_per_mm};
-    subcutis_absorption_ = SkinAbsorption(job.colour, {})[2];
+    subcutis_absorption_ = SkinAbsorption(job.colour, skin)[2];
+    skin_mm_ = skin.skin_mm;
     majorant_ = scatter_[0] + job.most_absorption;
   }
 
@@ -237,7 +239,7 @@ class Walker {
     at_depth_ -= length;
     int layer = 2;
     double absorption = subcutis_absorption_;
-    if (at_depth_ < kSkinMm) {  // else too deep to have left the subcutis, whatever the flight
+    if (at_depth_ < skin_mm_) {  // else too deep to have left the subcutis, whatever the flight
       const double gap = Gap(to);
       if (std::isnan(gap)) return false;
       if (gap < 0.0) return HitSurface(to, random);
@@ -245,7 +247,7 @@ class Walker {
       position_ = to;
       const LocalSkin& skin = SkinAt(to.x(), to.y());
       const double depth = gap * -skin.normal.z();
-      layer = depth < skin.epidermis_mm ? 0 : depth < kSkinMm ? 1 : 2;
+      layer = depth < skin.epidermis_mm ? 0 : depth < skin_mm_ ? 1 : 2;
       absorption = skin.absorption[layer];
       if (depth < kConnectMm) Connect(depth, skin, scatter_[layer], subsurface);
     }
@@ -322,7 +324,7 @@ class Walker {
 
   const PixelJob& job_;
   std::vector<LocalSkin> skin_;
-  double g_ = 0.0, subcutis_absorption_ = 0.0, majorant_ = 0.0;
+  double g_ = 0.0, subcutis_absorption_ = 0.0, skin_mm_ = kSkinMm, majorant_ = 0.0;
   std::array<double, 3> scatter_{};  // epidermis, dermis, subcutis
   Vector3d entry_, position_, direction_;
   double weight_ = 0.0;

@@ -6,6 +6,7 @@
 #include <cstdio>
 
 #include "firmware-host/simulated/simulation_file.h"
+#include "firmware-host/simulated/skin/subcutis_table.h"
 
 namespace stratalux::rig {
 namespace {
@@ -65,8 +66,12 @@ Result<std::vector<ComparedPixel>> CompareWithRig(const CompareOptions& options,
   quiet.noise = false;
   SLX_ASSIGN_OR_RETURN(const auto rig, SimulatedRig::Create(quiet, logger));
   SLX_ASSIGN_OR_RETURN(const Simulation simulation, LoadSimulation(quiet.scene));
-  SLX_ASSIGN_OR_RETURN(const SkinTable table,
+  SLX_ASSIGN_OR_RETURN(SkinTable table,
                        SkinTable::Load(quiet.skin_table.empty() ? SkinTable::DefaultPath() : quiet.skin_table));
+  if (!simulation.scene.skin.Of(quiet.seed).UsualSubcutis()) {
+    SLX_ASSIGN_OR_RETURN(SubcutisTable other, SubcutisTable::Load(SubcutisTable::DefaultPath()));
+    table = table.With(std::move(other));
+  }
   SLX_ASSIGN_OR_RETURN(const Scene scene, Scene::Create(simulation.scene, quiet.seed, &table));
   SLX_RETURN_IF_ERROR(rig->camera().Start());
   // Less the dark ones, at the nominal exposure. Lines and spots are dim: where an exposure of four times that does not

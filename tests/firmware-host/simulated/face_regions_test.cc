@@ -261,6 +261,8 @@ class RegionRig : public ::testing::Test {
       ASSERT_TRUE(GenerateSkinTable({1000, 1, 0}, axis, {}, quiet)->Save(File(name), 1).ok());
     std::ofstream(File("scene.toml")) << "[skin]\nscattering = 0.8\nscar = true\n";
     std::ofstream(File("samples.toml")) << "[skin]\nscattering = 1\n";
+    std::ofstream(File("thin.toml"))
+        << "[subject]\nshape = \"plane\"\n[skin]\nscattering = 0.8\nsubcutis_absorption = 2.5\nskin_mm = 1.2\n";
     std::ofstream(File("low.toml")) << "[skin]\nscattering = 0.4\n";
   }
   static void TearDownTestSuite() { scratch_.reset(); }
@@ -272,9 +274,9 @@ class RegionRig : public ::testing::Test {
     return SimulatedRig::Create(options, quiet);
   }
 
-  // Of the first scene, by name.
-  static std::map<std::string, Image<float>> Truth() {
-    const auto rig = Make("scene.toml", "two");
+  // Of a scene, by name.
+  static std::map<std::string, Image<float>> Truth(const std::string& scene = "scene.toml") {
+    const auto rig = Make(scene, "two");
     EXPECT_TRUE(rig.ok()) << rig.status().message();
     auto maps = (*rig)->Truth(*BuildPlan({.projectors = 1, .projector_width = 256, .projector_height = 192}));
     EXPECT_TRUE(maps.ok()) << maps.status().message();
@@ -305,6 +307,7 @@ TEST_F(RegionRig, TheTruthNamesClassThicknessAndScattering) {
   const Image<float>&surface = truth.at("class"), &layers = truth.at("layers"), &material = truth.at("material");
   ASSERT_EQ(surface.width(), material.width());
   ASSERT_EQ(layers.channels(), 2);
+  EXPECT_FALSE(truth.contains("subcutis")) << "the usual one";
   std::map<SurfaceClass, double> scattering;
   for (int j = 0; j < surface.height(); ++j)
     for (int i = 0; i < surface.width(); ++i) {
@@ -319,6 +322,21 @@ TEST_F(RegionRig, TheTruthNamesClassThicknessAndScattering) {
   EXPECT_NEAR(scattering.at(SurfaceClass::kEyelids), 0.8 * 0.8, 0.01);
   EXPECT_NEAR(scattering.at(SurfaceClass::kLips), 0.8 * 0.75, 0.01);
   EXPECT_NEAR(scattering.at(SurfaceClass::kForehead), 0.8, 0.01);
+}
+
+TEST_F(RegionRig, TheTruthTellsAnotherSubcutis) {
+  const std::map<std::string, Image<float>> truth = Truth("thin.toml");
+  const Image<float>&subcutis = truth.at("subcutis"), &material = truth.at("material");
+  ASSERT_EQ(subcutis.channels(), 2);
+  int skin = 0;
+  for (int j = 0; j < material.height(); ++j)
+    for (int i = 0; i < material.width(); ++i) {
+      if (material(i, j) != static_cast<float>(MaterialKind::kSkin)) continue;
+      ++skin;
+      ASSERT_EQ(subcutis(i, j, 0), 2.5F);
+      ASSERT_EQ(subcutis(i, j, 1), 1.2F);
+    }
+  EXPECT_GT(skin, 1000);
 }
 
 // What the light says: no eye, brow or hair scatters, skin does in every colour.

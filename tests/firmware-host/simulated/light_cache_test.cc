@@ -14,6 +14,8 @@
 #include <unistd.h>
 
 #include "firmware-host/simulated/simulated_rig.h"
+#include "firmware-host/simulated/skin/subcutis_table.h"
+#include "tests/firmware-host/simulated/flat_world.h"
 #include "tests/support/scratch_folder.h"
 
 namespace stratalux::rig {
@@ -229,6 +231,32 @@ TEST_F(LightCacheTest, KeptAndComputedLightAreTheSameBits) {
   other = options;
   other.devices.camera.cfa = Cfa::kMono;
   expect_others("colours", other);
+}
+
+TEST_F(LightCacheTest, AnotherSubcutisIsAnotherEntryAndTheUsualOneIsAsBefore) {
+  const FlatWorld world({.camera_width = 128, .projector_px = 64});
+  const SkinTable knows = world.table().With(*SubcutisTable::Load(SubcutisTable::DefaultPath()));
+  LightCache cache(folder_, 1 << 20, logger_);
+  // Of one pixel: what lies around it, and so where its light entered, stays the same.
+  const auto entries = [&](const SkinTable& table, float absorption, double skin_mm) {
+    const SkinAlbedo albedo(table);
+    std::vector<SubjectPixel> pixels = {world.Pixel()};
+    pixels[0].material.skin.subcutis_absorption = absorption;
+    pixels[0].material.skin.skin_mm = skin_mm;
+    LightTransportOptions options;
+    options.cache = &cache;
+    const LightTransport transport(world.scene(), table, albedo, world.rig(), 0, pixels, options);
+    return Files().size();
+  };
+  EXPECT_EQ(entries(world.table(), 1.0F, kSkinMm), 2U) << "columns and rows";
+  EXPECT_EQ(entries(knows, 1.0F, kSkinMm), 2U) << "that it knows others is nothing to the usual one";
+  EXPECT_EQ(entries(knows, 2.0F, kSkinMm), 4U);
+  EXPECT_EQ(entries(knows, 1.0F, 1.5), 6U);
+  EXPECT_EQ(entries(knows, 2.0F, 1.5), 8U);
+  EXPECT_EQ(entries(knows, 2.0F, 1.5), 8U);
+  Logger quiet(LogLevel::kError);
+  const SkinTable otherwise = world.table().With(*GenerateSubcutisTable({1000, 1, 0}, {0.5, 1.0}, quiet));
+  EXPECT_EQ(entries(otherwise, 2.0F, 1.5), 10U) << "and so is another table of it";
 }
 
 }  // namespace

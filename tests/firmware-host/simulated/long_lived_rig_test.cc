@@ -12,9 +12,10 @@
 #include <unistd.h>
 
 #include "firmware-host/simulated/simulated_rig.h"
-#include "firmware-host/simulated/skin/skin_table.h"
+#include "firmware-host/simulated/skin/subcutis_table.h"
 #include "tests/firmware-host/simulated/plain_patterns.h"
 #include "tests/support/sanitized.h"
+#include "tests/support/scratch_folder.h"
 
 namespace stratalux::rig {
 namespace {
@@ -177,6 +178,40 @@ TEST_F(LongLivedRig, AMissingSkinTableIsNamedWithAllPlaces) {
   const auto places = SkinTable::DefaultPlaces(SkinTable::kSkinFile);
   ASSERT_EQ(places.size(), 2U);
   EXPECT_THAT(places[1], ::testing::EndsWith("/share/stratalux/skin_table.bin"));
+}
+
+TEST_F(LongLivedRig, AnotherSubcutisWithoutItsTableIsRefused) {
+  const ScratchFolder folder;
+  const std::string table = (folder / "skin.bin").string(), beside = (folder / SubcutisTable::kFile).string(),
+                    scene = (folder / "thin.toml").string();
+  std::filesystem::create_symlink(SkinTable::DefaultPath(), table);
+  const std::string shipped = SubcutisTable::DefaultPath();
+  std::ofstream(scene) << "[skin]\nsubcutis_absorption = 2\nskin_mm = 1.2\n";
+  setenv("STRATALUX_SKIN_TABLE", table.c_str(), 1);
+  const Status lost = SimulatedRig::Create(Small(scene), logger_).status();
+  const auto rig = SimulatedRig::Create(Small("head"), logger_);
+  EXPECT_TRUE(rig.ok()) << "who has the usual one needs no table of others";
+  const Status later = (*rig)->SetSubject({.scene = scene});
+  std::ofstream(beside) << "SLXSUBC";
+  const Status damaged = (*rig)->SetSubject({.scene = scene});
+  std::filesystem::remove(beside);
+  std::filesystem::create_symlink(shipped, beside);
+  const Status known = (*rig)->SetSubject({.scene = scene}), back = (*rig)->SetSubject({.scene = "head"});
+  const auto other = SimulatedRig::Create(Small(scene), logger_);
+  std::filesystem::remove(beside);
+  const Status again = (*rig)->SetSubject({.scene = scene});
+  unsetenv("STRATALUX_SKIN_TABLE");
+  for (const Status& refused : {lost, later}) {
+    EXPECT_EQ(refused.code(), StatusCode::kNotFound);
+    EXPECT_THAT(refused.message(), ::testing::HasSubstr("[skin] subcutis_absorption = 2, skin_mm = 1.2"));
+    EXPECT_THAT(refused.message(), ::testing::HasSubstr("looked for " + beside));
+    EXPECT_THAT(refused.message(), ::testing::HasSubstr("generate --subcutis"));
+  }
+  EXPECT_EQ(damaged.code(), StatusCode::kIntegrity);
+  EXPECT_TRUE(known.ok()) << known.message();
+  EXPECT_TRUE(back.ok()) << back.message();
+  EXPECT_TRUE(other.ok()) << other.status().message();
+  EXPECT_TRUE(again.ok()) << "it was read: " << again.message();
 }
 
 int64_t ResidentBytes() {

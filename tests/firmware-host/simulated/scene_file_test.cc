@@ -64,6 +64,9 @@ TEST_F(SceneFile, EveryComplaintNamesFileLineAndRemedy) {
       {"[skin]\nperson = -1\n", ":2: skin.person: value -1 is out of range, allowed: 0 .. 999999"},
       {"[skin]\nperson = 1000000\n", "value 1000000 is out of range, allowed: 0 .. 999999"},
       {"[skin]\nperson = 1.5\n", "value 1.5 is not an integer"},
+      {"[skin]\nsubcutis_absorption = 0.5\n",
+       ":2: skin.subcutis_absorption: value 0.5 is out of range, allowed: 1 .. 4"},
+      {"[skin]\nskin_mm = 0.5\n", ":2: skin.skin_mm: value 0.5 is out of range, allowed: 0.98 .. 1.98"},
       {"[head]\n\neyes = \"wide\"\n", ":3: eyes 'wide' is unknown; allowed: none, closed, open"},
       {"[subject]\nposition_mm = [1, 2]\n", ":2: position_mm takes three numbers"},
       {"[subject]\nshape = \"charuco\"\n[plate]\nmarker_mm = 30\n", "must be smaller than square_mm"},
@@ -300,6 +303,24 @@ TEST_F(SceneFile, APersonsSkinIsDrawnAndKeysBesideItStand) {
   const Status refused = picture.ok() ? picture->Validate() : picture.status();
   EXPECT_EQ(refused.code(), StatusCode::kUsage);
   EXPECT_THAT(refused.message(), HasSubstr("[skin] person brings melanin and blood"));
+}
+
+TEST_F(SceneFile, AnotherSubcutisIsEverywhereAndLeavesTheRestOfTheSkin) {
+  const Scene usual = Make(""), other = Make("[skin]\nsubcutis_absorption = 2.5\nskin_mm = 1.2\n"),
+              said = Make("[skin]\nsubcutis_absorption = 1\nskin_mm = 1.98\n");
+  for (double x = -50; x < 50; x += 7.3)
+    for (double y = -60; y < 60; y += 9.1) {
+      const SkinParameters was = usual.Skin({x, y, 0}), is = other.Skin({x, y, 0});
+      if (usual.MaterialAt({x, y, 0}).kind != MaterialKind::kSkin) continue;
+      EXPECT_TRUE(was.UsualSubcutis());
+      EXPECT_TRUE(said.Skin({x, y, 0}).UsualSubcutis());
+      EXPECT_EQ(is.subcutis_absorption, 2.5F);
+      EXPECT_EQ(is.skin_mm, 1.2);
+      EXPECT_EQ(is.melanin, was.melanin);
+      EXPECT_EQ(is.blood, was.blood);
+      EXPECT_EQ(is.epidermis_mm, was.epidermis_mm);
+      EXPECT_EQ(is.scattering, was.scattering);
+    }
 }
 
 TEST_F(SceneFile, SkinTakesItsStatedMelaninFrecklesAndScar) {
