@@ -125,13 +125,13 @@ class SkinTable {
   // Where a shipped table may lie: where STRATALUX_SKIN_TABLE says (others: beside it), else in share/stratalux beside
   // the program's folder, then in the data folder that the build was to be installed in.
   static std::vector<std::string> DefaultPlaces(const std::string& file);
-  // Knows other subcutis than its own.
-  [[nodiscard]] SkinTable With(SubcutisTable subcutis) const;
-  // Null where it does not.
-  [[nodiscard]] const SubcutisTable* subcutis() const;
   // The first of them that is there; where none is, the first.
   static std::string DefaultPath() { return DefaultPathOf(kSkinFile); }
   static std::string DefaultWaxPath() { return DefaultPathOf(kWaxFile); }
+  // The same table, which knows other subcutis than its own.
+  [[nodiscard]] SkinTable With(SubcutisTable subcutis) const;
+  // Null where it does not.
+  [[nodiscard]] const SubcutisTable* subcutis() const;
   // `level`: zstd's; a table that is shipped is packed as small as it goes.
   Status Save(const std::string& path, int level = 19) const;
 

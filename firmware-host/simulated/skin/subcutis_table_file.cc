@@ -91,7 +91,7 @@ Result<SubcutisTable> SubcutisTable::Load(const std::string& path) {
   if (XXH3_64bits(body, bytes.size() - kBegin) != hash) return Status::Integrity(what + "hash mismatch");
   auto contents = std::make_shared<Contents>();
   contents->scatterings.resize(scatterings);
-  std::memcpy(contents->scatterings.data(), body, axis);
+  if (axis > 0) std::memcpy(contents->scatterings.data(), body, axis);
   SLX_RETURN_IF_ERROR(CheckScatterings(contents->scatterings).WithContext("table of other subcutis " + path));
   contents->manifest.assign(body + axis, manifest_bytes);
   std::vector<uint8_t> planes(2 * count);
