@@ -15,7 +15,9 @@ bool StaysInside(const fs::path& name) {
 
 bool LiesIn(const fs::path& file, const fs::path& folder) {
   std::error_code error;
-  const fs::path inside = fs::weakly_canonical(file, error), outside = fs::weakly_canonical(folder, error);
+  // A name that is not there yet stays as it is given, relative ones too.
+  const fs::path inside = fs::weakly_canonical(fs::absolute(file, error), error),
+                 outside = fs::weakly_canonical(fs::absolute(folder, error), error);
   return std::mismatch(outside.begin(), outside.end(), inside.begin(), inside.end()).first == outside.end();
 }
 

@@ -71,7 +71,8 @@ Status CheckLedger(const SessionStore& store, const Ledger& ledger, VerifyReport
   SLX_ASSIGN_OR_RETURN(const auto held, HoldingThoughWithdrawn(index, ledger));
   for (const WallNs given : held)
     report.problems.push_back("a consent of " + ToIso8601(given) +
-                              " is withdrawn, which the index does not know: `stratalux-db reindex`");
+                              " is withdrawn, which the index does not know: `stratalux-db reindex`; or, where several"
+                              " visitors gave theirs at that very moment, `stratalux-db consent withdraw`");
   return Status::Ok();
 }
 

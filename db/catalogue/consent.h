@@ -34,8 +34,9 @@ Status SetScope(const std::string& text, Consent& consent);
 // Records a new consent; given_wall is now when it is 0. kUsage without text version, language or scope.
 Status GiveConsent(const std::filesystem::path& store, const std::string& visitor, Consent consent);
 enum class WithdrawStep { kLedger, kIndex };
-// Marks all that the visitor gave as withdrawn: first in the ledger, naming the visitor's sessions, then in the index,
-// which follows the ledger where it is cut off in between. kNotFound where none holds.
+// Marks all that the visitor gave as withdrawn: first in the ledger, naming the visitor's sessions and when the
+// consents were given, then in the index, which follows the ledger where it is cut off in between. kNotFound where none
+// holds.
 Status WithdrawConsent(const std::filesystem::path& store, const std::string& visitor,
                        const std::function<void(WithdrawStep)>& after_step = {});
 // In the order in which they were given; all visitors for an empty pseudonym.

@@ -62,18 +62,26 @@ class Withdrawing {
   Statement count_, update_;
 };
 
-// When those consents were given that hold. Of two visitors who gave theirs at the same nanosecond it cannot be told
-// whose a moment means: neither is among them.
-Result<std::set<int64_t>> HoldingMoments(Connection& connection) {
+// Consents of one moment.
+struct GivenAt {
+  std::vector<int64_t> holding;  // consents.number
+  std::string visitor;
+  bool of_several = false;  // visitors: it cannot be told whom a withdrawal means that names this moment
+};
+
+// By when they were given, to the nanosecond; of a consent of unknown moment (0) nothing is known by it.
+Result<std::map<int64_t, GivenAt>> ConsentsByMoment(Connection& connection) {
   SLX_ASSIGN_OR_RETURN(auto select,
-                       connection.Prepare("SELECT given_wall_ns FROM consents GROUP BY given_wall_ns HAVING"
-                                          " count(DISTINCT visitor) = 1 AND count(withdrawn_wall_ns) <"
-                                          " count(*)"));
-  std::set<int64_t> moments;
+                       connection.Prepare("SELECT given_wall_ns, visitor, number, withdrawn_wall_ns IS NULL"
+                                          " FROM consents WHERE given_wall_ns > 0 ORDER BY number"));
+  std::map<int64_t, GivenAt> moments;
   while (true) {
     SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
     if (!more) return moments;
-    moments.insert(select.Integer(0));
+    const auto [at, fresh] = moments.try_emplace(select.Integer(0));
+    if (fresh) at->second.visitor = select.Text(1);
+    at->second.of_several |= at->second.visitor != select.Text(1);
+    if (select.Integer(3) != 0) at->second.holding.push_back(select.Integer(2));
   }
 }
 
@@ -89,20 +97,16 @@ Result<int64_t> Withdraw(Connection& connection, std::vector<LedgerEntry> entrie
       SLX_ASSIGN_OR_RETURN(const int64_t held, withdrawing.Withdraw(session, entry.at));
       withdrawn += held;
     }
-  SLX_ASSIGN_OR_RETURN(const auto holding, HoldingMoments(connection));
-  SLX_ASSIGN_OR_RETURN(auto update,
-                       connection.Prepare("UPDATE consents SET withdrawn_wall_ns = ?2 WHERE"
-                                          " given_wall_ns = ?1 AND withdrawn_wall_ns IS NULL RETURNING 1"));
+  SLX_ASSIGN_OR_RETURN(auto moments, ConsentsByMoment(connection));
+  SLX_ASSIGN_OR_RETURN(auto update, connection.Prepare("UPDATE consents SET withdrawn_wall_ns = ?2 WHERE number = ?1"));
   for (const LedgerEntry& entry : entries)
     for (const WallNs given : ConsentsWithdrawnBy(entry)) {
-      if (!holding.contains(given.ns)) continue;
-      update.Bind(1, given.ns).Bind(2, entry.at.ns);
-      while (true) {
-        SLX_ASSIGN_OR_RETURN(const bool more, update.Step());
-        if (!more) break;
+      const auto at = moments.find(given.ns);
+      if (at == moments.end() || at->second.of_several) continue;
+      for (const int64_t number : std::exchange(at->second.holding, {})) {
+        SLX_RETURN_IF_ERROR(update.Bind(1, number).Bind(2, entry.at.ns).Run());
         ++withdrawn;
       }
-      update.Reset();
     }
   return withdrawn;
 }
@@ -202,11 +206,13 @@ Result<bool> FollowsLedger(SessionIndex& index, const fs::path& store) {
 }
 
 Result<std::vector<WallNs>> HoldingThoughWithdrawn(SessionIndex& index, const Ledger& ledger) {
-  SLX_ASSIGN_OR_RETURN(const auto holding, HoldingMoments(index.connection()));
-  std::vector<WallNs> held;
+  SLX_ASSIGN_OR_RETURN(const auto moments, ConsentsByMoment(index.connection()));
+  std::set<int64_t> withdrawn;
   for (const LedgerEntry& entry : ledger.entries())
-    for (const WallNs given : ConsentsWithdrawnBy(entry))
-      if (holding.contains(given.ns)) held.push_back(given);
+    for (const WallNs given : ConsentsWithdrawnBy(entry)) withdrawn.insert(given.ns);
+  std::vector<WallNs> held;
+  for (const int64_t ns : withdrawn)
+    if (const auto at = moments.find(ns); at != moments.end() && !at->second.holding.empty()) held.push_back({ns});
   return held;
 }
 

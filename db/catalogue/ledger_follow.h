@@ -21,7 +21,8 @@ Status FollowLedger(SessionIndex& index, const std::filesystem::path& store);
 // changed.
 [[nodiscard]] Result<int64_t> FollowWithdrawals(SessionIndex& index, const std::filesystem::path& store);
 
-// When those consents were given that hold here though the ledger names them as withdrawn.
+// When those consents were given that hold here though the ledger names them as withdrawn: until it is followed, and
+// where several visitors gave theirs at the very moment, so that nobody can tell whose is meant.
 [[nodiscard]] Result<std::vector<WallNs>> HoldingThoughWithdrawn(SessionIndex& index, const Ledger& ledger);
 
 // The tombstones of deletions/ into the ledger, each of the moment that its row in the index has.

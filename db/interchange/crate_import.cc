@@ -20,6 +20,7 @@
 #include "db/segment/pixel_hash.h"
 #include "db/segment/segment.h"
 #include "db/transfer/adopt.h"
+#include "db/transfer/foreign_ledger.h"
 
 namespace stratalux::db {
 namespace {
@@ -173,6 +174,8 @@ Result<CrateImportReport> ImportCrate(const SessionStore& store, const fs::path&
     SLX_RETURN_IF_ERROR(Take(store.folder(), crate, session, from, progress, report));
     report.sessions.push_back(session.info.id);
   }
+  // A crate may be older than the withdrawal of what it holds.
+  SLX_RETURN_IF_ERROR(ApplyWithdrawals(store.folder()).status());
   return report;
 }
 

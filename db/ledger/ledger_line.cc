@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <array>
+#include <limits>
 
 #include <nlohmann/json.hpp>
 #include <sodium.h>
@@ -91,9 +92,12 @@ std::vector<WallNs> ConsentsWithdrawnBy(const LedgerEntry& entry) {
   std::vector<WallNs> given;
   if (entry.kind != LedgerKind::kWithdrawal || !CheckNesting(entry.detail_json).ok()) return given;
   const Json detail = Json::parse(entry.detail_json, nullptr, false);
-  if (!detail.is_object() || !detail.contains("given_wall_ns")) return given;
-  for (const Json& at : detail["given_wall_ns"])
-    if (at.is_number_integer()) given.push_back({at.get<int64_t>()});
+  const auto moments = detail.is_object() ? detail.find("given_wall_ns") : detail.end();
+  if (moments == detail.end() || !moments->is_array()) return given;
+  constexpr auto kMost = static_cast<uint64_t>(std::numeric_limits<int64_t>::max());
+  for (const Json& at : *moments)
+    if (at.is_number_unsigned() && at.get<uint64_t>() <= kMost)
+      given.push_back({static_cast<int64_t>(at.get<uint64_t>())});
   return given;
 }
 

@@ -38,9 +38,12 @@ Status Snapshot(const fs::path& database, const fs::path& to) {
 // The store or backup that a file would lie in; empty where there is none.
 fs::path DataAround(const fs::path& file) {
   std::error_code error;
-  for (fs::path folder = fs::weakly_canonical(file, error).parent_path();; folder = folder.parent_path()) {
+  for (fs::path folder = fs::weakly_canonical(fs::absolute(file, error), error).parent_path();;
+       folder = folder.parent_path()) {
     for (const char* name : {"backup.json", kBackupJournal, "index.sqlite"})
       if (fs::exists(folder / name, error)) return folder;
+    // A store whose index is lost.
+    if (fs::is_directory(folder / "sessions", error) && fs::is_directory(folder / "ledger", error)) return folder;
     if (!folder.has_relative_path()) return {};
   }
 }

@@ -10,6 +10,7 @@
 #include "db/interchange/crate_files.h"
 #include "db/interchange/crate_staging.h"
 #include "db/interchange/image_file.h"
+#include "db/ledger/ledger.h"
 #include "db/privacy/access_log.h"
 #include "db/segment/truth_segment.h"
 #include "tests/db/interchange/crate_fixture.h"
@@ -197,6 +198,22 @@ TEST_F(Crates, TheForgottenDoNotComeBack) {
   EXPECT_THAT(imported.out, HasSubstr("was forgotten here and does not come back"));
   EXPECT_FALSE(fs::exists(folder_ / "sessions" / visit));
   EXPECT_THAT(imported.out, HasSubstr("1 here already"));
+}
+
+// A crate from before the withdrawal, into a store that has the ledger from after it.
+TEST_F(Crates, OfWhoHasWithdrawnBringNoConsentBack) {
+  const std::string id = Visit();
+  ASSERT_TRUE(Export({id}, ForResearch()).ok());
+  ASSERT_TRUE(WithdrawConsent(folder_, kVisitor).ok());
+  ASSERT_TRUE(MergeLedger(other_, folder_ / "ledger").ok());
+  { ASSERT_TRUE(SessionStore::Open(other_, AccessMode::kReadWrite).ok()); }  // its index follows
+  const auto imported = Import();
+  ASSERT_TRUE(imported.ok()) << imported.status().message();
+  ASSERT_EQ(imported->sessions.size(), 1U);
+  const auto consents = ListConsents(other_, "");
+  ASSERT_TRUE(consents.ok()) << consents.status().message();
+  ASSERT_EQ(consents->size(), 1U);
+  EXPECT_TRUE(consents->front().withdrawn);
 }
 
 TEST_F(Crates, AreImportedOnce) {

@@ -77,6 +77,16 @@ TEST_F(BackupTest, KeysAreNeverInIt) {
     EXPECT_THAT(refused.status().message(), HasSubstr("lies within"));
     EXPECT_FALSE(std::filesystem::exists(place));
   }
+  // However it is named, and before the backup's first file is there.
+  const std::filesystem::path here = std::filesystem::current_path();
+  for (const auto& place : {folder_ / "sessions", far_ / "new"}) {
+    std::filesystem::create_directories(place);
+    std::filesystem::current_path(place);
+    EXPECT_EQ(Backup(folder_, {place == far_ / "new" ? "." : backup_, "keys.copy"}, logger_).status().code(),
+              StatusCode::kUsage);
+    EXPECT_FALSE(std::filesystem::exists("keys.copy"));
+    std::filesystem::current_path(here);
+  }
   ASSERT_TRUE(Backup(folder_, {backup_, far_ / "keys.copy"}, logger_).ok());
   EXPECT_TRUE(std::filesystem::exists(far_ / "keys.copy"));
   for (const auto& entry : std::filesystem::recursive_directory_iterator(backup_))
