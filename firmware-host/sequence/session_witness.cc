@@ -53,10 +53,12 @@ std::vector<Finding> PatternWitness::CheckSession() const {
     ++p;
   }
   if (!brighter || !dimmer) return findings;
-  // Lamps age and sag; who moves comes nearer to one and leaves another.
+  // Lamps age and sag; who moves comes nearer to one and leaves another. What else a lamp did stands behind it.
   const Finding& most =
       *std::ranges::max_element(findings, {}, [](const Finding& f) { return std::abs(f.value - 1.0); });
-  return {{.kind = FindingKind::kMoved, .value = std::abs(most.value - 1.0), .limit = most.limit}};
+  findings.insert(findings.begin(),
+                  {.kind = FindingKind::kMoved, .value = std::abs(most.value - 1.0), .limit = most.limit});
+  return findings;
 }
 
 }  // namespace stratalux::rig

@@ -22,12 +22,12 @@ enum class FindingKind {
   kWrongPattern,       // the step's last frame does not show its pattern
   kProofReused,        // the step's trigger or frame number proves another step, too
   kTriggersUnmatched,  // camera triggers | frames and named losses
-  kMoved,      // rms difference of the step's probes from what they were, over white | largest of a subject that
-               // holds still
-  kLamp,       // light of the step, of a comb cycle or of the pre-roll, as a share of the reference's | largest
-               // deviation from 1
-  kBlink,      // the same of one frame whose neighbours are as they should be
-  kMixedUp,    // sum of a comb cycle where one line passes, over the mean of all lines | largest deviation from 1
+  kMoved,    // rms difference of the step's probes from what they were, over white; without a step, of all projectors'
+             // whites together, or of the one whose share of them differs most | largest of a subject that holds still
+  kLamp,     // light of the step, of a comb cycle or of the pre-roll, as a share of the reference's | largest
+             // deviation from 1
+  kBlink,    // the same of one frame whose neighbours are as they should be
+  kMixedUp,  // sum of a comb cycle where one line passes, over the mean of all lines | largest deviation from 1
   kSaturated,  // share of the lit subject that saturates | largest
   kDim,        // signal-to-noise ratio of the darkest tenth of the lit subject | smallest
   kWatch,      // what the session is captured for (a board, a matt target) objects; in `detail`

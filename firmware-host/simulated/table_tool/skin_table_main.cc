@@ -122,7 +122,7 @@ InterpolationSummary PrintRings(const std::vector<InterpolationSample>& samples,
     } else {
       std::printf(" %.1f / %+.1f |", 100.0 * s.rms, 100.0 * s.largest);
     }
-    missed = missed || s.rms > most;
+    missed = missed || (s.samples > 0 && !(s.rms <= most));
   }
   std::printf("\n");
   return Summarise(samples, channel, -1, melanin);
