@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <csignal>
 #include <memory>
+#include <optional>
 #include <thread>
 #include <utility>
 
@@ -30,7 +31,7 @@ namespace fs = std::filesystem;
 
 constexpr const char* kKind = "fit";
 constexpr milliseconds kLook{1000};  // at memory, time limits and jobs that come due
-constexpr seconds kGrace{10};        // from SIGTERM to SIGKILL, when the night is stopped
+constexpr seconds kGrace{10};        // from SIGTERM to SIGKILL
 // Exit codes of `stratalux-fit run` (shared/base/result.h).
 bool WorthTryingAgain(int exit_code) {
   const auto code = static_cast<StatusCode>(exit_code);
@@ -63,6 +64,7 @@ struct Attempt {
   std::string killed = {};     // why we ended it; its attempt counts
   std::string no_longer = {};  // why it may not be fitted any more
   std::string lost = {};       // why the job is not ours any more
+  std::optional<Clock::time_point> asked_to_end = {};
 };
 
 class Night {
@@ -268,6 +270,7 @@ Status Night::LookAt(Attempt& attempt) {
     attempt.killed = Formatted("not finished after %.0f min", InSeconds(options_.visit_limit) / 60.0);
     attempt.worker.Signal(SIGKILL);
   }
+  if (attempt.asked_to_end && Clock::now() > *attempt.asked_to_end + kGrace) attempt.worker.Signal(SIGKILL);
   if (Clock::now() < attempt.next_heartbeat) return Status::Ok();
   attempt.next_heartbeat = Clock::now() + options_.lease / 4;
   if (!attempt.no_longer.empty() || !attempt.lost.empty()) return Status::Ok();
@@ -276,7 +279,9 @@ Status Night::LookAt(Attempt& attempt) {
   if (Forbids(may)) attempt.no_longer = may.message();
   // A night that was held up for longer than a lease: somebody else has the visitor, and goes on.
   if (!Forbids(may) && !ours.ok() && ours.code() != StatusCode::kBusy) attempt.lost = ours.message();
-  if (!attempt.no_longer.empty() || !attempt.lost.empty()) attempt.worker.Signal(SIGTERM);
+  if (attempt.no_longer.empty() && attempt.lost.empty()) return Status::Ok();
+  attempt.worker.Signal(SIGTERM);
+  attempt.asked_to_end = Clock::now();
   return Status::Ok();
 }
 

@@ -241,6 +241,20 @@ TEST_F(NightTest, WithdrawnBeforeAndOnTheWayIsNotFitted) {
   EXPECT_EQ(StateOf(other), db::JobState::kDone);
 }
 
+TEST_F(NightTest, WhoHasWithdrawnAndWhoseWorkerDoesNotHearIsEndedAllTheSame) {
+  const std::string deaf = Consenting("v-5f3a91c2");
+  Workers("trap '' TERM\nwhile [ -e " + work_.string() + " ]; do sleep 0.1; done");
+  const NightOutcome outcome = Run(-1, [&](const NightEvent& event) {
+    if (event.kind == NightEventKind::kStarted) {
+      EXPECT_TRUE(db::WithdrawConsent(folder_, "v-5f3a91c2").ok());
+    }
+  });
+  EXPECT_EQ(outcome.dropped, 1);
+  EXPECT_EQ(Lines(deaf, ".begun"), 1);
+  EXPECT_EQ(Lines(deaf, ".ended"), 0);
+  EXPECT_THAT(VisitOf(deaf).reason, HasSubstr("withdrawn"));
+}
+
 TEST_F(NightTest, ForgottenOnTheWayIsNotFittedAndTheNightGoesOn) {
   Visitors(3);
   Workers("[ $S != " + sessions_[0] + " ] || exec sleep 1000");
