@@ -2,6 +2,7 @@
 #include "db/catalogue/ledger_follow.h"
 
 #include <algorithm>
+#include <iterator>
 #include <map>
 #include <set>
 #include <utility>
@@ -86,8 +87,10 @@ Result<std::map<int64_t, GivenAt>> ConsentsByMoment(Connection& connection) {
 }
 
 // What these entries withdraw, the earliest first: the number of consents that held until now.
-Result<int64_t> Withdraw(Connection& connection, std::vector<LedgerEntry> entries) {
-  std::erase_if(entries, [](const LedgerEntry& entry) { return entry.kind != LedgerKind::kWithdrawal; });
+Result<int64_t> Withdraw(Connection& connection, const std::vector<LedgerEntry>& of_all_kinds) {
+  std::vector<LedgerEntry> entries;
+  std::ranges::copy_if(of_all_kinds, std::back_inserter(entries),
+                       [](const LedgerEntry& entry) { return entry.kind == LedgerKind::kWithdrawal; });
   if (entries.empty()) return 0;
   std::ranges::stable_sort(entries, {}, [](const LedgerEntry& entry) { return entry.at.ns; });
   SLX_ASSIGN_OR_RETURN(auto withdrawing, Withdrawing::Prepare(connection));

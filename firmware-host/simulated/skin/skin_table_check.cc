@@ -26,12 +26,8 @@ struct CheckedSkin {
   std::array<double, 3> absorption{};
 };
 
-template <size_t N>
-std::vector<double> Values(const std::array<double, N>& nodes, InterpolationAxes axes) {
-  if (axes == InterpolationAxes::kAngles) return {nodes.begin(), nodes.end()};
-  std::vector<double> between;
-  for (size_t i = 0; i + 1 < N; ++i) between.push_back(std::sqrt(nodes[i] * nodes[i + 1]));
-  return between;
+std::vector<double> Values(std::span<const double> nodes, InterpolationAxes axes) {
+  return axes == InterpolationAxes::kAngles ? std::vector<double>(nodes.begin(), nodes.end()) : MiddlesOf(nodes);
 }
 
 std::vector<CheckedSkin> Skins(int channel, InterpolationAxes axes, double scattering) {
@@ -127,6 +123,12 @@ std::array<double, kRings + 1> TableShares(const SkinTable& table, int channel, 
 }
 
 }  // namespace
+
+std::vector<double> MiddlesOf(std::span<const double> nodes) {
+  std::vector<double> middles;
+  for (size_t i = 0; i + 1 < nodes.size(); ++i) middles.push_back(std::sqrt(nodes[i] * nodes[i + 1]));
+  return middles;
+}
 
 std::vector<InterpolationSample> CheckInterpolation(const SkinTable& table, const InterpolationCheckOptions& options) {
   std::vector<InterpolationSample> samples;

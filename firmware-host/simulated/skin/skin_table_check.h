@@ -4,6 +4,7 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -51,5 +52,8 @@ struct InterpolationSummary {
 // `ring` < 0: the total. Skins with at most `most_melanin`.
 [[nodiscard]] InterpolationSummary Summarise(const std::vector<InterpolationSample>& samples, int channel, int ring,
                                              double most_melanin);
+
+// Half-way between nodes of the optics, on the scale of their logarithm.
+[[nodiscard]] std::vector<double> MiddlesOf(std::span<const double> nodes);
 
 }  // namespace stratalux::rig

@@ -14,12 +14,8 @@ namespace {
 constexpr size_t kSubcutisRings = kCheckRingsMm.size() - 1;
 constexpr size_t kSums = kSubcutisRings + 1;  // the last: all light
 
-template <size_t N>
-std::vector<double> NodesOrMiddles(const std::array<double, N>& nodes, SubcutisPlaces places) {
-  if (places == SubcutisPlaces::kNodes) return {nodes.begin(), nodes.end()};
-  std::vector<double> middles;
-  for (size_t i = 0; i + 1 < N; ++i) middles.push_back(std::sqrt(nodes[i] * nodes[i + 1]));
-  return middles;
+std::vector<double> NodesOrMiddles(std::span<const double> nodes, SubcutisPlaces places) {
+  return places == SubcutisPlaces::kNodes ? std::vector<double>(nodes.begin(), nodes.end()) : MiddlesOf(nodes);
 }
 
 // One skin in one subcutis: what the table says of it, and where its photons' paths count.
