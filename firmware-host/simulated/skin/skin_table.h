@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The tabulated light transport of the simulated skin: spatial kernels by Monte Carlo over incidence and exit angle,
 // melanin, blood, epidermal thickness and, where a table has the axis, scattering, at R, G, B. Made by
-// `stratalux-skin-table generate`; format in docs/simulated-rig.md.
+// `stratalux-skin-table generate`; its file: packed_table.h.
 #pragma once
 
 #include <array>

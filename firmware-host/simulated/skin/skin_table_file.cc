@@ -1,32 +1,21 @@
 // SPDX-License-Identifier: Apache-2.0
-// The skin table's file: magic and version, header of five 64-bit numbers (entries, bytes packed, XXH3 of all behind
-// the header, bytes of the manifest, scatterings), the scatterings (64-bit floats), manifest (JSON), packed entries.
-// Version 2 had no scatterings: four numbers, the XXH3 of the packed bytes alone. Packed: of every two directions that
-// reciprocity makes equal only the one with incidence <= exit; each entry as its difference from the neighbouring
-// node's (the nodes share their photons, so these are small), low bytes, then high bytes, zstd.
+// The skin table in its file: of every two directions that reciprocity makes equal only the one with incidence <= exit;
+// what is expected of a code is the neighbouring node's (the nodes share their photons).
 #include <array>
-#include <cerrno>
-#include <cstdlib>
-#include <cstring>
-#include <fstream>
-#include <iterator>
 #include <memory>
 #include <mutex>
 #include <optional>
 
 #include <sys/stat.h>
-#include <xxhash.h>
-#include <zstd.h>
 
-#include "db/base/durable_file.h"
+#include "firmware-host/simulated/skin/packed_table.h"
 #include "firmware-host/simulated/skin/skin_table.h"
 
 namespace stratalux::rig {
 namespace {
 
 using G = SkinGrid;
-constexpr char kMagic[8] = {'S', 'L', 'X', 'S', 'K', 'I', 'N', '3'};
-constexpr char kOldest = '2';
+constexpr PackedTableKind kKind = {"skin table", "SLXSKIN", '3', "stratalux-skin-table generate"};
 
 // Calls visit(first cell, first cell of the node that predicts it or SIZE_MAX) in the order of the file.
 template <typename Visit>
@@ -48,7 +37,7 @@ void ForEachStoredKernel(int nodes, const Visit& visit) {
           }
 }
 
-// Entries of a file, a node.
+// Codes of a file, a node of skin.
 constexpr size_t kStored = size_t{kSkinChannels} * (G::kThetas * (G::kThetas + 1) / 2) * G::kAzimuths * G::kCells;
 
 uint16_t Predicted(const std::vector<uint16_t>& codes, size_t first, size_t from, int cell) {
@@ -56,31 +45,22 @@ uint16_t Predicted(const std::vector<uint16_t>& codes, size_t first, size_t from
   return cell > 0 ? codes[first + cell - 1] : uint16_t{0};
 }
 
-std::vector<uint8_t> ToPlanes(const std::vector<uint16_t>& codes, int nodes) {
-  const size_t stored = kStored * nodes;
-  std::vector<uint8_t> planes(2 * stored);
-  size_t at = 0;
+std::vector<uint16_t> DifferencesOf(const std::vector<uint16_t>& codes, int nodes) {
+  std::vector<uint16_t> differences;
+  differences.reserve(kStored * nodes);
   ForEachStoredKernel(nodes, [&](size_t first, size_t from) {
-    for (int k = 0; k < G::kCells; ++k, ++at) {
-      const auto d = static_cast<int16_t>(codes[first + k] - Predicted(codes, first, from, k));
-      const auto zigzag = static_cast<uint16_t>((d << 1) ^ (d >> 15));  // small of either sign: small
-      planes[at] = static_cast<uint8_t>(zigzag & 0xffU);
-      planes[stored + at] = static_cast<uint8_t>(zigzag >> 8);
-    }
+    for (int k = 0; k < G::kCells; ++k)
+      differences.push_back(static_cast<uint16_t>(codes[first + k] - Predicted(codes, first, from, k)));
   });
-  return planes;
+  return differences;
 }
 
-std::vector<uint16_t> FromPlanes(const std::vector<uint8_t>& planes, int nodes) {
-  const size_t stored = kStored * nodes;
+std::vector<uint16_t> CodesOf(const std::vector<uint16_t>& differences, int nodes) {
   std::vector<uint16_t> codes(G::kDirections * nodes * G::kCells);
   size_t at = 0;
   ForEachStoredKernel(nodes, [&](size_t first, size_t from) {
-    for (int k = 0; k < G::kCells; ++k, ++at) {
-      const unsigned zigzag = planes[at] | unsigned{planes[stored + at]} << 8;
-      const unsigned d = (zigzag >> 1) ^ (0U - (zigzag & 1U));
-      codes[first + k] = static_cast<uint16_t>(Predicted(codes, first, from, k) + d);
-    }
+    for (int k = 0; k < G::kCells; ++k, ++at)
+      codes[first + k] = static_cast<uint16_t>(Predicted(codes, first, from, k) + differences[at]);
   });
   for (int c = 0; c < kSkinChannels; ++c)
     for (int in = 0; in < G::kThetas; ++in)
@@ -106,19 +86,7 @@ FileIdentity IdentityOf(const std::string& path) {
 }  // namespace
 
 Status SkinTable::Save(const std::string& path, int level) const {
-  const std::vector<uint8_t> planes = ToPlanes(contents_->codes, nodes());
-  std::vector<char> packed(ZSTD_compressBound(planes.size()));
-  const size_t size = ZSTD_compress(packed.data(), packed.size(), planes.data(), planes.size(), level);
-  if (ZSTD_isError(size) != 0) return Status::Failed(std::string("zstd: ") + ZSTD_getErrorName(size));
-  std::string body(scatterings().size() * sizeof(double), '\0');
-  std::memcpy(body.data(), scatterings().data(), body.size());
-  body += manifest();
-  body.append(packed.data(), size);
-  const uint64_t header[5] = {kStored * nodes(), size, XXH3_64bits(body.data(), body.size()), manifest().size(),
-                              scatterings().size()};
-  std::string file(kMagic, sizeof kMagic);
-  file.append(reinterpret_cast<const char*>(header), sizeof header);
-  return db::ReplaceFile(path, file + body);
+  return WritePackedTable(path, kKind, {scatterings(), manifest(), DifferencesOf(contents_->codes, nodes())}, level);
 }
 
 Result<SkinTable> SkinTable::Load(const std::string& path) {
@@ -134,50 +102,15 @@ Result<SkinTable> SkinTable::Load(const std::string& path) {
   return SkinTable(last);
 }
 
+// Wax has one node and no axis.
 Result<std::shared_ptr<const SkinTable::Contents>> SkinTable::Read(const std::string& path) {
-  std::ifstream in(path, std::ios::binary);
-  if (!in)
-    return Status::NotFound("skin table " + path + ": " + std::strerror(errno) +
-                            " (make one with `stratalux-skin-table generate`)");
-  const std::vector<char> bytes((std::istreambuf_iterator<char>(in)), std::istreambuf_iterator<char>());
-  if (bytes.size() < sizeof kMagic || std::memcmp(bytes.data(), kMagic, sizeof kMagic - 1) != 0)
-    return Status::Integrity("skin table " + path + ": not a skin table");
-  const char version = bytes[7];
-  if (version > kMagic[7])
-    return Status(StatusCode::kNewerSchema, "skin table " + path + ": version " + version + ", this program reads " +
-                                                kOldest + " and " + kMagic[7]);
-  if (version < kOldest)
-    return Status::Usage("skin table " + path + ": version " + version + ", this program reads " + kOldest + " and " +
-                         kMagic[7] + " (make it again with `stratalux-skin-table generate`)");
-  // Entries, bytes packed, hash, bytes of the manifest, scatterings.
-  uint64_t header[5] = {};
-  const size_t header_bytes = (version == kOldest ? 4 : 5) * sizeof(uint64_t), begin = sizeof kMagic + header_bytes;
-  const Status cut = Status::Integrity("skin table " + path + ": truncated, or of another grid");
-  if (bytes.size() < begin) return cut;
-  std::memcpy(header, bytes.data() + sizeof kMagic, header_bytes);
-  if (header[4] > uint64_t{G::kMostScatterings} || header[1] > bytes.size() || header[3] > bytes.size()) return cut;
-  std::vector<double> scatterings(header[4]);
-  const size_t axis = scatterings.size() * sizeof(double);
-  if (begin + axis + header[3] + header[1] != bytes.size()) return cut;
-  const char* body = bytes.data() + begin;
-  const char* packed = body + axis + header[3];
-  const char* hashed = version == kOldest ? packed : body;
-  if (XXH3_64bits(hashed, static_cast<size_t>(bytes.data() + bytes.size() - hashed)) != header[2])
-    return Status::Integrity("skin table " + path + ": hash mismatch");
-  if (axis > 0) std::memcpy(scatterings.data(), body, axis);
-  // Wax has one node and no axis; before there was an axis, skin scattered as tissue samples do.
-  if (version == kOldest && header[0] != kStored) scatterings = {1.0};
-  if (!scatterings.empty()) SLX_RETURN_IF_ERROR(CheckScatterings(scatterings).WithContext("skin table " + path));
-  const int nodes = scatterings.empty() ? 1 : static_cast<int>(scatterings.size()) * G::kNodes;
-  if (header[0] != kStored * nodes) return cut;
-  std::vector<uint8_t> planes(2 * kStored * nodes);
-  if (ZSTD_decompress(planes.data(), planes.size(), packed, header[1]) != planes.size())
-    return Status::Integrity("skin table " + path + ": cannot be decompressed");
+  SLX_ASSIGN_OR_RETURN(PackedTable table, ReadPackedTable(path, kKind));
   auto contents = std::make_shared<Contents>();
-  contents->nodes = nodes;
-  contents->scatterings = std::move(scatterings);
-  contents->manifest.assign(body + axis, header[3]);
-  contents->codes = FromPlanes(planes, nodes);
+  if (!table.scatterings.empty()) contents->nodes = static_cast<int>(table.scatterings.size()) * G::kNodes;
+  if (table.differences.size() != kStored * contents->nodes) return OfAnotherGrid(path, kKind);
+  contents->scatterings = std::move(table.scatterings);
+  contents->manifest = std::move(table.manifest);
+  contents->codes = CodesOf(table.differences, contents->nodes);
   return std::shared_ptr<const Contents>(std::move(contents));
 }
 
