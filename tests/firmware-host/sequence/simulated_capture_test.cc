@@ -22,27 +22,27 @@ class CountingSink : public FrameSink {
   std::map<std::pair<CapturePhase, LevelCheck>, int> checks;
 };
 
-// A matt sphere before the default plan, its findings.
-std::vector<Finding> FindingsOfASphere(const Fault& fault) {
+// The default plan on a rig.
+Result<CaptureReport> Captured(const SimulatedRigOptions& rig_options, CountingSink& sink) {
   Logger logger(LogLevel::kError);
-  SimulatedRigOptions rig_options;
-  rig_options.camera_width = 174;
-  rig_options.camera_height = 130;
-  rig_options.scene = "sphere";
-  rig_options.scattering = false;
-  rig_options.faults.script = {fault};
-  auto rig = SimulatedRig::Create(rig_options, logger);
-  EXPECT_TRUE(rig.ok()) << rig.status().message();
-  if (!rig.ok()) return {};
+  SLX_ASSIGN_OR_RETURN(const auto rig, SimulatedRig::Create(rig_options, logger));
   SequencerOptions options;
-  options.shooter.wait = [&](std::chrono::nanoseconds time) { (*rig)->Sleep(time); };
+  options.shooter.wait = [&](std::chrono::nanoseconds time) { rig->Sleep(time); };
   StopToken stop;
-  const auto light = GuardLight(**rig, stop);
-  EXPECT_TRUE(light.ok()) << light.status().message();
-  if (!light.ok()) return {};
-  Sequencer sequencer({**light, (*rig)->lines(), (*rig)->camera(), (*rig)->projectors()}, options, logger);
+  SLX_ASSIGN_OR_RETURN(const auto light, GuardLight(*rig, stop));
+  Sequencer sequencer({*light, rig->lines(), rig->camera(), rig->projectors()}, options, logger);
+  return sequencer.Run(*BuildPlan({}), sink);
+}
+
+std::vector<Finding> FindingsOfASphere(const Fault& fault) {
+  SimulatedRigOptions rig;
+  rig.camera_width = 174;
+  rig.camera_height = 130;
+  rig.scene = "sphere";
+  rig.scattering = false;
+  rig.faults.script = {fault};
   CountingSink sink;
-  const auto report = sequencer.Run(*BuildPlan({}), sink);
+  const auto report = Captured(rig, sink);
   EXPECT_TRUE(report.ok()) << report.status().message();
   return report.ok() ? report->findings : std::vector<Finding>();
 }
@@ -67,21 +67,11 @@ TEST(SimulatedCapture, WhoMovesBetweenTwoProjectorsHasMovedAndALampIsALamp) {
 }
 
 TEST(SimulatedCapture, AVisitorIsCompleteAndEveryCodedFrameIsWitnessed) {
-  Logger logger(LogLevel::kWarning);
-  SimulatedRigOptions rig_options;
-  rig_options.camera_width = 232;
-  rig_options.camera_height = 174;
-  Result<std::unique_ptr<SimulatedRig>> rig = SimulatedRig::Create(rig_options, logger);
-  ASSERT_TRUE(rig.ok()) << rig.status().message();
-  const CapturePlan plan = *BuildPlan({});
-  SequencerOptions options;
-  options.shooter.wait = [&](std::chrono::nanoseconds time) { (*rig)->Sleep(time); };
-  StopToken stop;
-  const auto light = GuardLight(**rig, stop);
-  ASSERT_TRUE(light.ok()) << light.status().message();
-  Sequencer sequencer({**light, (*rig)->lines(), (*rig)->camera(), (*rig)->projectors()}, options, logger);
+  SimulatedRigOptions rig;
+  rig.camera_width = 232;
+  rig.camera_height = 174;
   CountingSink sink;
-  const Result<CaptureReport> report = sequencer.Run(plan, sink);
+  const Result<CaptureReport> report = Captured(rig, sink);
   ASSERT_TRUE(report.ok()) << report.status().message();
   std::string reasons;
   for (const std::string& reason : report->Reasons()) reasons += reason + "\n";
