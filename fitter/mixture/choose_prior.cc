@@ -6,8 +6,8 @@
 #include <numeric>
 
 #include "fitter/mixture/fit_mixture.h"
-#include "fitter/mixture/left_out_lights.h"
 #include "fitter/mixture/sampled_lights.h"
+#include "shared/base/parallel_each.h"
 
 namespace stratalux::fit {
 namespace {
@@ -40,13 +40,13 @@ void AddScores(std::span<const MixtureMap> fits, const SrdBatch& light, int chan
 }
 
 // What the fits of the others make of each light left out with N0 of kGrid from `first` on, before `end`.
-Status Try(size_t first, size_t end, std::span<const SrdBatch* const> sampled, const std::vector<LeftOut>& turns,
-           int channels, const EmOptions& options, Scores& scores) {
-  for (const LeftOut& turn : turns) {
-    SLX_ASSIGN_OR_RETURN(const auto fits, FitWithPriors(At(sampled, turn.training), turn.names, channels, options,
+Status Try(size_t first, size_t end, const LeftOutLights& left, const EmOptions& options, Scores& scores) {
+  const auto sampled = PointersTo(left.sampled);
+  for (const LeftOut& turn : left.turns) {
+    SLX_ASSIGN_OR_RETURN(const auto fits, FitWithPriors(At(sampled, turn.training), turn.names, left.channels, options,
                                                         turn.mean, std::span(kGrid).subspan(first, end - first)));
     for (const SrdBatch* light : At(sampled, turn.left_out))
-      AddScores(fits, *light, channels, options, std::span(scores).subspan(first, end - first));
+      AddScores(fits, *light, left.channels, options, std::span(scores).subspan(first, end - first));
   }
   return Status::Ok();
 }
@@ -95,25 +95,25 @@ Patch PatchAround(std::span<const SrdBatch* const> lights, int64_t pixel, int wi
 }
 
 // Around kPlaces pixels of skin that two projectors show, evenly among those; all that there are where they are fewer.
-std::vector<Patch> PatchesOf(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors, int width,
-                             int height, int channels, double spacing_mm) {
+std::vector<Patch> PatchesOf(std::span<const SrdBatch* const> lights, const LeftOutLights& left, int width, int height,
+                             double spacing_mm) {
   const auto by_two = [&](int64_t i) {
     int shown_by = -1;
     for (size_t p = 0; p < lights.size(); ++p) {
       if (!lights[p]->Shares(i)) continue;
-      if (shown_by >= 0 && projectors[p] != shown_by) return true;
-      shown_by = projectors[p];
+      if (shown_by >= 0 && left.projectors[p] != shown_by) return true;
+      shown_by = left.projectors[p];
     }
     return false;
   };
   std::vector<int64_t> shown;
-  for (int64_t i = 0; i < lights[0]->profiles(); i += channels)
-    if (by_two(i)) shown.push_back(i / channels);
+  for (int64_t i = 0; i < lights[0]->profiles(); i += left.channels)
+    if (by_two(i)) shown.push_back(i / left.channels);
   const size_t places = std::min(kPlaces, shown.size());
   std::vector<Patch> patches;
   for (size_t k = 0; k < places; ++k)
-    patches.push_back(
-        PatchAround(lights, shown[(k * 2 + 1) * shown.size() / (2 * places)], width, height, channels, spacing_mm));
+    patches.push_back(PatchAround(lights, shown[(k * 2 + 1) * shown.size() / (2 * places)], width, height,
+                                  left.channels, spacing_mm));
   return patches;
 }
 
@@ -142,22 +142,18 @@ Result<Scores> TryNeighbours(const Patch& patch, std::span<const SrdBatch* const
 
 }  // namespace
 
-Result<PriorChoice> ChoosePrior(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
-                                int channels, const EmOptions& options) {
-  const std::vector<SrdBatch> parts = SpreadPixels(lights, channels);
-  const auto sampled = PointersTo(parts);
+Result<PriorChoice> ChoosePrior(const LeftOutLights& left, const EmOptions& options) {
   PriorChoice choice{options.prior, {}};
   choice.prior.photons = kUsualPriorPhotons;
+  if (left.turns.empty()) return choice;
   EmOptions trial = options;
   trial.prior = choice.prior;
-  SLX_ASSIGN_OR_RETURN(const auto turns, LeaveOutEach(sampled, projectors, channels, trial));
-  if (turns.empty()) return choice;
   Scores scores(std::size(kGrid));
-  SLX_RETURN_IF_ERROR(Try(kWeak, scores.size(), sampled, turns, channels, trial, scores));
+  SLX_RETURN_IF_ERROR(Try(kWeak, scores.size(), left, trial, scores));
   if (CountOf(scores[kWeak]) < kLeastJudged) return choice;
   size_t first = kWeak;
   if (!IsWorse(scores[first], scores[BestOf(scores, first)], kSurely)) {
-    SLX_RETURN_IF_ERROR(Try(0, kWeak, sampled, turns, channels, trial, scores));
+    SLX_RETURN_IF_ERROR(Try(0, kWeak, left, trial, scores));
     first = 0;
   }
   const size_t best = BestOf(scores, first);
@@ -172,24 +168,25 @@ Result<PriorChoice> ChoosePrior(std::span<const SrdBatch* const> lights, const s
   return choice;
 }
 
-Result<NeighboursChoice> ChooseNeighboursPrior(std::span<const SrdBatch* const> lights,
-                                               const std::vector<int>& projectors, int width, int height, int channels,
-                                               const EmOptions& options, double spacing_mm) {
+Result<NeighboursChoice> ChooseNeighboursPrior(std::span<const SrdBatch* const> lights, const LeftOutLights& left,
+                                               int width, int height, const EmOptions& options, double spacing_mm) {
   NeighboursChoice choice;
-  if (!(options.prior.photons > 0.0) || !(spacing_mm > 0.0)) return choice;
-  const std::vector<SrdBatch> parts = SpreadPixels(lights, channels);
-  SLX_ASSIGN_OR_RETURN(const auto turns, LeaveOutEach(PointersTo(parts), projectors, channels, options));
+  if (left.turns.empty() || !(options.prior.photons > 0.0) || !(spacing_mm > 0.0)) return choice;
   std::vector<double> photons;
   for (const double times : kNeighboursGrid)
     photons.push_back(std::min(times * options.prior.photons, kMostPriorPhotons));
+  const std::vector<Patch> patches = PatchesOf(lights, left, width, height, spacing_mm);
+  const size_t turns = left.turns.size();
+  std::vector<Scores> of_patches(patches.size() * turns);
+  // A patch has too few profiles for all threads.
+  SLX_RETURN_IF_ERROR(ParallelTry(of_patches.size(), [&](size_t i) -> Status {
+    SLX_ASSIGN_OR_RETURN(of_patches[i], TryNeighbours(patches[i / turns], lights, left.turns[i % turns], left.channels,
+                                                      options, spacing_mm, photons));
+    return Status::Ok();
+  }));
   Scores scores(1 + photons.size());
-  if (!turns.empty())
-    for (const Patch& patch : PatchesOf(lights, projectors, width, height, channels, spacing_mm))
-      for (const LeftOut& turn : turns) {
-        SLX_ASSIGN_OR_RETURN(const Scores these,
-                             TryNeighbours(patch, lights, turn, channels, options, spacing_mm, photons));
-        for (size_t t = 0; t < scores.size(); ++t) scores[t].insert(scores[t].end(), these[t].begin(), these[t].end());
-      }
+  for (const Scores& these : of_patches)
+    for (size_t t = 0; t < scores.size(); ++t) scores[t].insert(scores[t].end(), these[t].begin(), these[t].end());
   if (CountOf(scores[0]) < kLeastJudged) return choice;
   double least = 0.0;
   for (size_t t = 1; t < scores.size(); ++t) {

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "fitter/mixture/em_options.h"
+#include "fitter/mixture/left_out_lights.h"
 #include "fitter/mixture/srd_samples.h"
 #include "shared/base/result.h"
 
@@ -24,13 +25,11 @@ struct PriorChoice {
   std::vector<Trial> trials;  // empty where none could be made
 };
 
-// On some 500 pixels each projector of `projectors` (the batches' own) is left out in turn, columns and rows: mean
-// layers and tied fits of the others predict its samples. From a logarithmic grid of 0, few to endlessly many photons
-// the least N0 whose divergence is not a standard error above the best one's; 0 and 100 are left out where 300 is three
-// above it. The same bits for any number of threads.
-[[nodiscard]] Result<PriorChoice> ChoosePrior(std::span<const SrdBatch* const> lights,
-                                              const std::vector<int>& projectors, int channels,
-                                              const EmOptions& options);
+// On the pixels of `left` each projector is left out in turn, columns and rows: mean layers and tied fits of the others
+// predict its samples. From a logarithmic grid of 0, few to endlessly many photons the least N0 whose divergence is not
+// a standard error above the best one's. 0 and 100 are left out where 300 is three above it. The same bits for any
+// number of threads.
+[[nodiscard]] Result<PriorChoice> ChoosePrior(const LeftOutLights& left, const EmOptions& options);
 
 // Whether a pixel's neighbours know it better than the session's mean does, and how much.
 struct NeighboursChoice {
@@ -45,9 +44,10 @@ struct NeighboursChoice {
 // Around twelve places of skin that two projectors show, each projector is left out in turn: fits of the others among
 // neighbours, with options.prior.photons (the session's N0) times 1, 3, 10 and 30, and by the session's mean. The best
 // of them, by the middle four fifths of the profiles: at an edge of the skin (a brow's hair, a nostril) a few would
-// outvote all others. `options`, `spacing_mm`: as of FitAmongNeighbours. The same bits for any number of threads.
+// outvote all others. `left`: of these lights; `options`, `spacing_mm`: as of FitAmongNeighbours. The same bits for any
+// number of threads.
 [[nodiscard]] Result<NeighboursChoice> ChooseNeighboursPrior(std::span<const SrdBatch* const> lights,
-                                                             const std::vector<int>& projectors, int width, int height,
-                                                             int channels, const EmOptions& options, double spacing_mm);
+                                                             const LeftOutLights& left, int width, int height,
+                                                             const EmOptions& options, double spacing_mm);
 
 }  // namespace stratalux::fit

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
+#include <set>
 
 #include "fitter/mixture/fit_mixture.h"
 #include "fitter/mixture/photon_noise.h"
@@ -13,6 +14,13 @@ namespace stratalux::fit {
 namespace {
 
 constexpr int64_t kPixels = 512;
+
+std::vector<SrdBatch> SpreadPixels(std::span<const SrdBatch* const> lights, int channels) {
+  int64_t usable = 0;
+  for (int64_t i = 0; i < lights[0]->profiles(); i += channels)
+    usable += std::any_of(lights.begin(), lights.end(), [i](const SrdBatch* b) { return b->Shares(i); }) ? 1 : 0;
+  return SampledPixels(lights, channels, static_cast<int>(std::max<int64_t>(usable / kPixels, 1)));
+}
 
 }  // namespace
 
@@ -46,29 +54,21 @@ bool IsWorse(const LeftOutScores& trial, const LeftOutScores& other, double stan
   return worse > standard_errors * std::sqrt(squares);
 }
 
-Result<std::vector<LeftOut>> LeaveOutEach(std::span<const SrdBatch* const> sampled, const std::vector<int>& projectors,
-                                          int channels, const EmOptions& options) {
-  std::vector<int> distinct = projectors;
-  std::sort(distinct.begin(), distinct.end());
-  distinct.erase(std::unique(distinct.begin(), distinct.end()), distinct.end());
-  std::vector<LeftOut> turns;
-  if (distinct.size() < 2) return turns;
+Result<LeftOutLights> LeaveOutEach(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors,
+                                   int channels, const EmOptions& options) {
+  LeftOutLights left{projectors, channels, SpreadPixels(lights, channels), {}};
+  const auto sampled = PointersTo(left.sampled);
+  const std::set<int> distinct(projectors.begin(), projectors.end());
+  if (distinct.size() < 2) return left;
   for (const int projector : distinct) {
-    LeftOut& out = turns.emplace_back();
+    LeftOut& out = left.turns.emplace_back();
     for (size_t p = 0; p < sampled.size(); ++p) {
       (projectors[p] == projector ? out.left_out : out.training).push_back(p);
       if (projectors[p] != projector) out.names.push_back(projectors[p]);
     }
     SLX_ASSIGN_OR_RETURN(out.mean, MeanLayers(At(sampled, out.training), channels, options, 1));
   }
-  return turns;
-}
-
-std::vector<SrdBatch> SpreadPixels(std::span<const SrdBatch* const> lights, int channels) {
-  int64_t usable = 0;
-  for (int64_t i = 0; i < lights[0]->profiles(); i += channels)
-    usable += std::any_of(lights.begin(), lights.end(), [i](const SrdBatch* b) { return b->Shares(i); }) ? 1 : 0;
-  return SampledPixels(lights, channels, static_cast<int>(std::max<int64_t>(usable / kPixels, 1)));
+  return left;
 }
 
 std::vector<const SrdBatch*> PointersTo(const std::vector<SrdBatch>& batches) {

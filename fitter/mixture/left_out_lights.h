@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training lights left out in turn: how well do fits of the others predict them? What a session chooses by. Internal to
-// fitter/mixture.
+// Training lights left out in turn: how well do fits of the others predict them? What a session chooses by.
 #pragma once
 
 #include <span>
@@ -39,13 +38,18 @@ struct LeftOut {
   std::vector<LayerSet> mean;              // their mean layers, by channel
 };
 
-// `projectors`: of the batches.
-[[nodiscard]] Result<std::vector<LeftOut>> LeaveOutEach(std::span<const SrdBatch* const> sampled,
-                                                        const std::vector<int>& projectors, int channels,
-                                                        const EmOptions& options);
+// Some 500 pixels of all lights, evenly spread (enough to tell one choice from another; more cost time), and each
+// projector left out of them: made once for all that a fit chooses.
+struct LeftOutLights {
+  std::vector<int> projectors;  // of the lights
+  int channels = 0;
+  std::vector<SrdBatch> sampled;  // [light]
+  std::vector<LeftOut> turns;     // none where there are fewer than two projectors
+};
 
-// Some 500 pixels of all lights, evenly spread: enough to tell one choice from another; more cost time.
-[[nodiscard]] std::vector<SrdBatch> SpreadPixels(std::span<const SrdBatch* const> lights, int channels);
+[[nodiscard]] Result<LeftOutLights> LeaveOutEach(std::span<const SrdBatch* const> lights,
+                                                 const std::vector<int>& projectors, int channels,
+                                                 const EmOptions& options);
 
 [[nodiscard]] std::vector<const SrdBatch*> PointersTo(const std::vector<SrdBatch>& batches);
 [[nodiscard]] std::vector<const SrdBatch*> At(std::span<const SrdBatch* const> lights, std::span<const size_t> places);

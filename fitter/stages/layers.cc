@@ -189,31 +189,36 @@ Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, const FitOptions& 
   SLX_ASSIGN_OR_RETURN(const auto training, TrainingLightsOf(srds, heldout));
   const auto& [lights, projectors] = training;
   SLX_ASSIGN_OR_RETURN(EmOptions em, SharedOptions(options, lights, srds, shared, logger, label));
+  const bool free = em.scattering.mode == FitMode::kFree;
   std::vector<LayerSet> start;
+  LeftOutLights left;
   if (HasMeanLayers(options)) {
     EmOptions tied = em;  // the session's mean layers, which all pixels start from, are those of all lights
     tied.scattering.mode = FitMode::kTied;
     SLX_ASSIGN_OR_RETURN(start, MeanLayers(lights, srds.channels, tied));
+    if (options.choose.prior || MayHaveNeighbours(options)) {
+      SLX_ASSIGN_OR_RETURN(left, LeaveOutEach(lights, projectors, srds.channels, tied));
+    }
     if (options.choose.prior) {
-      SLX_ASSIGN_OR_RETURN(const auto choice, ChoosePrior(lights, projectors, srds.channels, tied));
+      SLX_ASSIGN_OR_RETURN(const auto choice, ChoosePrior(left, tied));
       em.prior = choice.prior;
       logger.Info(label + ": " + Describe(choice));
     }
   }
-  const bool free = em.scattering.mode == FitMode::kFree;
-  double of_neighbours = 0.0;  // photons
-  if (MayHaveNeighbours(options) && em.prior.photons > 0.0 && srds.spacing_mm > 0.0) {
-    SLX_ASSIGN_OR_RETURN(const auto choice, ChooseNeighboursPrior(lights, projectors, srds.width, srds.height,
-                                                                  srds.channels, em, srds.spacing_mm));
-    logger.Info(label + ": " + Describe(choice));
-    of_neighbours = choice.photons;
-  }
+  const bool neighbours = MayHaveNeighbours(options) && em.prior.photons > 0.0 && srds.spacing_mm > 0.0;
   if (!start.empty() && !free) {
     EmOptions slowest = em;  // a weaker prior asks for more
-    if (of_neighbours > 0.0) slowest.prior.photons *= kFirstShare;
+    if (neighbours) slowest.prior.photons *= kFirstShare;
     SLX_ASSIGN_OR_RETURN(const auto choice, ChooseSweeps(lights, projectors, srds.channels, slowest, start));
     logger.Info(label + ": " + Describe(choice));
     if (choice.profiles > 0) em.refinement_iterations = choice.sweeps;
+  }
+  double of_neighbours = 0.0;  // photons
+  if (neighbours) {
+    SLX_ASSIGN_OR_RETURN(const auto choice,
+                         ChooseNeighboursPrior(lights, left, srds.width, srds.height, em, srds.spacing_mm));
+    logger.Info(label + ": " + Describe(choice));
+    of_neighbours = choice.photons;
   }
   const int64_t fits = UsableProfiles(lights) * (free                  ? static_cast<int64_t>(lights.size())
                                                  : of_neighbours > 0.0 ? 2

@@ -21,8 +21,14 @@ EmCases Neighbours(double peak_counts, uint64_t seed) {
   return MakeEmCases({.profiles = kProfiles, .peak_counts = peak_counts, .alike = kProfiles}, {}, seed);
 }
 
+Result<PriorChoice> Choose(const EmCases& made, const EmOptions& options,
+                           const std::vector<int>& projectors = kProjectors) {
+  SLX_ASSIGN_OR_RETURN(const LeftOutLights left, LeaveOutEach(made.lights(), projectors, 1, options));
+  return ChoosePrior(left, options);
+}
+
 LayerPrior Chosen(const EmCases& made, const EmOptions& options) {
-  const auto choice = ChoosePrior(made.lights(), kProjectors, 1, options);
+  const auto choice = Choose(made, options);
   EXPECT_TRUE(choice.ok()) << choice.status().message();
   EXPECT_FALSE(choice->trials.empty());
   return choice->prior;
@@ -60,7 +66,7 @@ TEST(ChoosePrior, TriesWeakPriorsOnlyWhereOneMayBeTheBest) {
   // Enough photons to tell how much alike the pixels are; of this skin's, alike, a strong one is the best.
   const auto choose = [&](int alike) {
     const EmCases made = MakeEmCases({.profiles = kProfiles, .peak_counts = 2e4, .alike = alike}, options, 50);
-    auto choice = ChoosePrior(made.lights(), kProjectors, 1, options);
+    auto choice = Choose(made, options);
     EXPECT_TRUE(choice.ok() && !choice->trials.empty());
     return *std::move(choice);
   };
@@ -71,6 +77,46 @@ TEST(ChoosePrior, TriesWeakPriorsOnlyWhereOneMayBeTheBest) {
   EXPECT_LT(unlike.prior.photons, 300.0);
 }
 
+// Divergence of each profile of each light left out in turn, of fits with `photons`.
+std::vector<double> LeftOutDivergences(const EmCases& made, const LeftOutLights& left, const EmOptions& options,
+                                       double photons) {
+  std::vector<double> divergences;
+  for (const LeftOut& turn : left.turns) {
+    const double trial[] = {photons};
+    const auto lights = made.lights();
+    const auto fits = FitWithPriors(At(lights, turn.training), turn.names, 1, options, turn.mean, trial);
+    EXPECT_TRUE(fits.ok());
+    for (const SrdBatch* light : At(lights, turn.left_out)) {
+      const auto of_light = DivergencesFrom(*fits, *light, 1, options);
+      divergences.insert(divergences.end(), of_light[0].begin(), of_light[0].end());
+    }
+  }
+  return divergences;
+}
+
+TEST(ChoosePrior, IsNoWorseThanAnyOfTheGridByMoreThanItsStandardError) {
+  EmOptions options;
+  options.prior.photons = kUsualPriorPhotons;
+  for (const int alike : {1, 8, kProfiles}) {
+    const EmCases made =
+        MakeEmCases({.profiles = kProfiles, .peak_counts = 1000.0, .alike = alike}, options, 60 + alike);
+    const auto left = LeaveOutEach(made.lights(), kProjectors, 1, options);
+    ASSERT_TRUE(left.ok());
+    const auto choice = ChoosePrior(*left, options);
+    ASSERT_TRUE(choice.ok() && !choice->trials.empty());
+    const auto chosen = LeftOutDivergences(made, *left, options, choice->prior.photons);
+    for (const double photons : {0.0, 100.0, 300.0, 1000.0, 3000.0, 1e4, 1e6}) {
+      const auto other = LeftOutDivergences(made, *left, options, photons);
+      double worse = 0.0, squares = 0.0;
+      for (size_t i = 0; i < other.size(); ++i) {
+        worse += chosen[i] - other[i];
+        squares += std::pow(chosen[i] - other[i], 2);
+      }
+      EXPECT_LE(worse, std::sqrt(squares)) << choice->prior.photons << " for " << photons << ", alike " << alike;
+    }
+  }
+}
+
 TEST(ChoosePrior, HearsNothingOfLightsThatNoFitCanUse) {
   // Samples that are no number; light from behind the horizon, as of directions given to the wrong light.
   const EmOptions options;
@@ -78,7 +124,7 @@ TEST(ChoosePrior, HearsNothingOfLightsThatNoFitCanUse) {
   const double without = Chosen(made, options).photons;
   made.batches[1].Samples(7)[3] = std::nanf("");
   made.batches[2].cos_in[9] = 0.0F;
-  const auto choice = ChoosePrior(made.lights(), kProjectors, 1, options);
+  const auto choice = Choose(made, options);
   ASSERT_TRUE(choice.ok());
   for (const auto& trial : choice->trials) EXPECT_TRUE(std::isfinite(trial.divergence)) << trial.photons;
   EXPECT_EQ(choice->prior.photons, without);
@@ -114,9 +160,9 @@ TEST(ChoosePrior, IsTheSameForAnyNumberOfThreadsAndTheUsualOneWhereNoLightCanBeL
   const EmOptions options;
   EmCases made = MakeEmCases({.profiles = 40, .peak_counts = 200.0, .alike = 40}, options, 43);
   setenv("STRATALUX_THREADS", "1", 1);
-  const auto one = ChoosePrior(made.lights(), kProjectors, 1, options);
+  const auto one = Choose(made, options);
   setenv("STRATALUX_THREADS", "3", 1);
-  const auto three = ChoosePrior(made.lights(), kProjectors, 1, options);
+  const auto three = Choose(made, options);
   unsetenv("STRATALUX_THREADS");
   ASSERT_TRUE(one.ok() && three.ok());
   ASSERT_EQ(one->trials.size(), three->trials.size());
@@ -124,7 +170,7 @@ TEST(ChoosePrior, IsTheSameForAnyNumberOfThreadsAndTheUsualOneWhereNoLightCanBeL
   EXPECT_EQ(one->prior.photons, three->prior.photons);
 
   // Three sweeps of one projector are one light.
-  const auto alone = ChoosePrior(made.lights(), {2, 2, 2}, 1, options);
+  const auto alone = Choose(made, options, {2, 2, 2});
   ASSERT_TRUE(alone.ok());
   EXPECT_EQ(alone->prior.photons, kUsualPriorPhotons);
   EXPECT_TRUE(alone->trials.empty());

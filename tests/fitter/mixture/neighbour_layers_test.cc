@@ -164,8 +164,15 @@ EmOptions WithPrior(double photons) {
   return options;
 }
 
+Result<NeighboursChoice> Choose(const EmCases& made, double photons, const std::vector<int>& projectors = kProjectors,
+                                double spacing_mm = kPixelMm) {
+  const EmOptions options = WithPrior(photons);
+  SLX_ASSIGN_OR_RETURN(const LeftOutLights left, LeaveOutEach(made.lights(), projectors, 1, options));
+  return ChooseNeighboursPrior(made.lights(), left, kSide, kSide, options, spacing_mm);
+}
+
 NeighboursChoice Chosen(const EmCases& made) {
-  const auto choice = ChooseNeighboursPrior(made.lights(), kProjectors, kSide, kSide, 1, WithPrior(300.0), kPixelMm);
+  const auto choice = Choose(made, 300.0);
   EXPECT_TRUE(choice.ok()) << choice.status().message();
   EXPECT_EQ(choice->trials.size(), 4U);
   return *choice;
@@ -200,7 +207,7 @@ TEST(ChooseNeighboursPrior, BindsPixelsThatAreUnlikeTheirNeighboursLess) {
 TEST(ChooseNeighboursPrior, AsksForNoMorePhotonsThanEmTakesAndIsTheSameForAnyNumberOfThreads) {
   const EmCases made = TwoSkins(0.03);
   const auto choose = [&] {
-    const auto choice = ChooseNeighboursPrior(made.lights(), kProjectors, kSide, kSide, 1, WithPrior(1e6), kPixelMm);
+    const auto choice = Choose(made, 1e6);
     EXPECT_TRUE(choice.ok());
     return *choice;
   };
@@ -217,8 +224,7 @@ TEST(ChooseNeighboursPrior, AsksForNoMorePhotonsThanEmTakesAndIsTheSameForAnyNum
 TEST(ChooseNeighboursPrior, TriesNothingWhereNothingCanBeTold) {
   const EmCases made = TwoSkins(0.03);
   const auto choose = [&](const std::vector<int>& projectors, double photons, double spacing_mm) {
-    const auto choice =
-        ChooseNeighboursPrior(made.lights(), projectors, kSide, kSide, 1, WithPrior(photons), spacing_mm);
+    const auto choice = Choose(made, photons, projectors, spacing_mm);
     EXPECT_TRUE(choice.ok());
     return choice->photons == 0.0 && choice->trials.empty();
   };
