@@ -14,7 +14,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kPredictVersion = 15;
+inline constexpr int kPredictVersion = 16;
 
 // Quads x colours.
 struct Prediction {

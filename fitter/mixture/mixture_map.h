@@ -40,10 +40,14 @@ struct MixtureMap {
   std::vector<float> prior_share;    // [profile] N0 / (N0 + the profile's photons); empty where N0 = 0
   std::vector<uint16_t> iterations;  // [profile]
   std::vector<uint8_t> reason;       // [profile] FitReason
+  std::vector<int64_t> place;        // [profile] as SrdBatch::place, of profiles that were carried to other pixels
 
   // N0 of the session's mean layers, whatever the prior is centred on.
   [[nodiscard]] double SessionPhotons() const { return session_photons > 0.0 ? session_photons : prior_photons; }
   [[nodiscard]] int64_t profiles() const { return int64_t{width} * height * channels; }
+  [[nodiscard]] int64_t PlaceOf(int64_t profile) const {
+    return place.empty() ? profile : place[static_cast<size_t>(profile)];
+  }
   [[nodiscard]] int64_t ProfileIndex(int x, int y, int c) const { return (int64_t{y} * width + x) * channels + c; }
   // Of a quad of the surface, where `pool` x `pool` quads share a profile; -1: the map ends before it.
   [[nodiscard]] int64_t ProfileOfQuad(int i, int j, int c, int pool) const {

@@ -52,6 +52,11 @@ struct SrdBatch {
   // [profile] 1: fitted as any other, but without a part in what all pixels share (surface reflection, tau, mean
   // layers, offset, prior): it is no skin. The same for all lights. Empty: none.
   std::vector<uint8_t> apart;
+  // [profile] Which profile of the whole map it is, where these are some of them (ProfilesOf); empty: the same.
+  std::vector<int64_t> place;
+  [[nodiscard]] int64_t PlaceOf(int64_t profile) const {
+    return place.empty() ? profile : place[static_cast<size_t>(profile)];
+  }
   [[nodiscard]] bool IsApart(int64_t profile) const { return fit::IsApart(apart, profile); }
   [[nodiscard]] bool Shares(int64_t profile) const {
     return valid[static_cast<size_t>(profile)] != 0 && !IsApart(profile);

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <deque>
 #include <memory>
 #include <optional>
 #include <vector>
@@ -27,6 +28,12 @@ constexpr double kLeastCosOfCurve = 0.2;  // a curve of its own takes nothing of
 constexpr double kCurvePrior = 0.5, kIndependent = 1e-3;
 // Of the cost, a profile: less is what the gain leaves on a surface that is GGX (docs/math/surface.md).
 constexpr double kWorthwhileCurve = 0.03;
+// Of the gloss, the same two; before light has told, gloss 1 is half of what facets that lie so much flatter do.
+constexpr double kWorthwhileGloss = 0.01;
+constexpr double kGlossPrior = 0.25;
+constexpr double kGlossierBy = 0.5;
+constexpr double kGlossier = 0.7;
+constexpr int kGlossRounds = 4;       // of field and curves in turn
 constexpr double kModelError = 0.02;  // of a light: what the gain leaves
 constexpr double kOutlier = 2.0;      // standard deviations, of Cauchy's loss
 constexpr double kPhaseSlope = 1.15;  // of light of few events, as Monte Carlo skins have it (docs/math/em.md)
@@ -110,37 +117,53 @@ struct GgxResiduals {
   }
 };
 
-// With a curve over one GGX, and hairs, which are the last of `curve`.
-struct CurveResiduals {
+// A profile with a curve over one GGX, hairs, and a gloss of its place.
+struct CurvedProfile {
   struct Known {
     double ggx = 0.0, hairs = 0.0;  // reflectance of the one, of hairs = 1 of the others
     TiltNodes nodes;
   };
+  int64_t place = 0;
   std::vector<Shown> lights;
   std::vector<Known> known;
+  double gloss = 0.0;
 
-  static constexpr int kParameters = static_cast<int>(kFacetTiltsDeg.size()) + 1;
-
-  CurveResiduals(std::vector<Shown> of, const SurfaceReflection& ggx, double eta) : lights(std::move(of)) {
+  CurvedProfile(int64_t where, std::vector<Shown> of, const SurfaceReflection& ggx, double eta)
+      : place(where), lights(std::move(of)) {
     for (const Shown& s : lights)
       known.push_back(
           {ggx.strength * Facets(ggx.roughness, s.angles, eta), HairsKernel(s.angles), NodesOf(s.angles.normal_half)});
   }
+};
+
+constexpr int kTilts = static_cast<int>(kFacetTiltsDeg.size());
+
+// The curve's hairs are behind its last tilt.
+struct CurveResiduals {
+  const CurvedProfile* profile;
+
+  static constexpr int kParameters = kTilts + 1;
 
   template <typename T>
-  bool operator()(const T* tau, const T* narrow, const T* curve, T* residuals) const {
+  bool operator()(const T* tau, const T* narrow, const T* curve, const T* by_gloss, T* residuals) const {
     const auto reflected = [&](size_t p) -> T {
-      return known[p].ggx * OnCurve(curve, known[p].nodes) + known[p].hairs * curve[kParameters - 1];
+      const CurvedProfile::Known& at = profile->known[p];
+      return at.ggx * (OnCurve(curve, at.nodes) + profile->gloss * OnCurve(by_gloss, at.nodes)) +
+             at.hairs * curve[kTilts];
     };
-    ProfileResiduals(lights, *tau, *narrow, reflected, residuals);
+    ProfileResiduals(profile->lights, *tau, *narrow, reflected, residuals);
     return true;
   }
 };
 
+// Of the first tilts of a curve.
 struct CurvePrior {
+  FacetCurve expected;
+  double sigma;
+
   template <typename T>
   bool operator()(const T* curve, T* residuals) const {
-    for (size_t j = 0; j < kFacetTiltsDeg.size(); ++j) residuals[j] = (curve[j] - 1.0) / kCurvePrior;
+    for (int j = 0; j < kTilts; ++j) residuals[j] = (curve[j] - expected[j]) / sigma;
     return true;
   }
 };
@@ -208,14 +231,14 @@ struct SharedGain {
   }
 };
 
-// One profile in `one_in` pixels that two lights or more show within `least_cos`: add(shown, colour).
+// One profile in `one_in` pixels that two lights or more show within `least_cos`: add(profile, shown).
 template <typename Add>
 void ForEachSampled(std::span<const SrdBatch* const> lights, int channels, int64_t one_in, double eta, double least_cos,
                     const Add& add) {
   for (int64_t i = 0; i < lights[0]->profiles(); ++i) {
     if (i / channels % one_in != 0) continue;
     auto shown = ShownBy(lights, i, eta, least_cos);
-    if (shown.size() >= 2) add(std::move(shown), i % channels);
+    if (shown.size() >= 2) add(i, std::move(shown));
   }
 }
 
@@ -223,12 +246,12 @@ std::optional<SurfaceReflection> EstimateGgx(std::span<const SrdBatch* const> li
                                              double eta, SharedGain& gain) {
   SurfaceReflection ggx{0.5, 0.3};
   ceres::Problem problem;
-  ForEachSampled(lights, channels, one_in, eta, kLeastCos, [&](std::vector<Shown> shown, int64_t colour) {
+  ForEachSampled(lights, channels, one_in, eta, kLeastCos, [&](int64_t profile, std::vector<Shown> shown) {
     const auto count = static_cast<int>(shown.size());
     problem.AddResidualBlock(new ceres::AutoDiffCostFunction<GgxResiduals, ceres::DYNAMIC, 1, 1, 1, 1>(
                                  new GgxResiduals{std::move(shown), eta}, count),
-                             new ceres::CauchyLoss(kOutlier), &gain.tau, &gain.narrow[colour], &ggx.strength,
-                             &ggx.roughness);
+                             new ceres::CauchyLoss(kOutlier), &gain.tau, &gain.narrow[profile % channels],
+                             &ggx.strength, &ggx.roughness);
   });
   if (problem.NumResidualBlocks() < kLeastProfiles) return std::nullopt;
   gain.BoundIn(problem);
@@ -246,36 +269,127 @@ std::optional<SurfaceReflection> EstimateGgx(std::span<const SrdBatch* const> li
   return other && *other - *solved > kTold ? std::optional(found) : std::nullopt;
 }
 
-// The curve over `ggx` and the hairs; GGX alone where they explain little that it does not, or no solution is found.
-SurfaceReflection EstimateCurve(std::span<const SrdBatch* const> lights, int channels, int64_t one_in, double eta,
-                                const SurfaceReflection& ggx, SharedGain gain) {
-  std::array<double, CurveResiduals::kParameters> curve;
-  curve.fill(1.0);
-  curve.back() = 0.0;
-  ceres::Problem problem;
-  ForEachSampled(lights, channels, one_in, eta, kLeastCosOfCurve, [&](std::vector<Shown> shown, int64_t colour) {
-    const auto count = static_cast<int>(shown.size());
-    problem.AddResidualBlock(
-        new ceres::AutoDiffCostFunction<CurveResiduals, ceres::DYNAMIC, 1, 1, CurveResiduals::kParameters>(
-            new CurveResiduals(std::move(shown), ggx, eta), count),
-        new ceres::CauchyLoss(kOutlier), &gain.tau, &gain.narrow[colour], curve.data());
-  });
-  problem.AddResidualBlock(
-      new ceres::AutoDiffCostFunction<CurvePrior, int{kFacetTiltsDeg.size()}, CurveResiduals::kParameters>(
-          new CurvePrior),
-      new ceres::ScaledLoss(nullptr, kIndependent * problem.NumResidualBlocks(), ceres::TAKE_OWNERSHIP), curve.data());
-  gain.BoundIn(problem);
-  for (int j = 0; j < CurveResiduals::kParameters; ++j) problem.SetParameterLowerBound(curve.data(), j, 0.0);
-  problem.SetParameterBlockConstant(curve.data());
-  const auto straight = Solve(problem);
-  problem.SetParameterBlockVariable(curve.data());
-  const auto curved = Solve(problem);
-  if (!straight || !curved || *straight - *curved < kWorthwhileCurve * problem.NumResidualBlocks()) return ggx;
-  SurfaceReflection found = ggx;
-  std::copy_n(curve.begin(), found.over_ggx.size(), found.over_ggx.begin());
-  found.hairs = curve.back();
-  return found;
+// Of skin of gloss 1 before the light has told: GGX of facets that lie so much flatter.
+FacetCurve ExpectedByGloss(double roughness) {
+  const auto slopes = [](double alpha, double tilt_deg) {
+    const double cos2 = std::pow(std::cos(RadFromDeg(tilt_deg)), 2), a2 = alpha * alpha;
+    return a2 / std::pow(cos2 * (a2 - 1.0) + 1.0, 2);
+  };
+  FacetCurve more{};
+  for (size_t j = 0; j < more.size(); ++j)
+    more[j] =
+        kGlossierBy * (slopes(kGlossier * roughness, kFacetTiltsDeg[j]) / slopes(roughness, kFacetTiltsDeg[j]) - 1.0);
+  return more;
 }
+
+// (3) of docs/math/surface.md: the curve over a GGX and the hairs, then the gloss.
+class CurveFit {
+ public:
+  CurveFit(std::span<const SrdBatch* const> lights, int channels, int64_t one_in, double eta,
+           const SurfaceReflection& ggx, SharedGain gain)
+      : channels_(channels), found_(ggx), gain_(std::move(gain)), by_gloss_(ExpectedByGloss(ggx.roughness)) {
+    curve_.fill(1.0);
+    curve_[kTilts] = 0.0;
+    ForEachSampled(lights, channels, one_in, eta, kLeastCosOfCurve, [&](int64_t profile, std::vector<Shown> shown) {
+      profiles_.emplace_back(profile, std::move(shown), ggx, eta);
+    });
+    for (const CurvedProfile& profile : profiles_)
+      problem_.AddResidualBlock(
+          new ceres::AutoDiffCostFunction<CurveResiduals, ceres::DYNAMIC, 1, 1, CurveResiduals::kParameters, kTilts>(
+              new CurveResiduals{&profile}, static_cast<int>(profile.lights.size())),
+          new ceres::CauchyLoss(kOutlier), &gain_.tau, NarrowOf(profile), curve_.data(), by_gloss_.data());
+    AddPrior<CurveResiduals::kParameters>(SurfaceReflection{}.over_ggx, kCurvePrior, curve_.data());
+    AddPrior<kTilts>(by_gloss_, kGlossPrior, by_gloss_.data());
+    gain_.BoundIn(problem_);
+    for (int j = 0; j < CurveResiduals::kParameters; ++j) problem_.SetParameterLowerBound(curve_.data(), j, 0.0);
+  }
+  CurveFit(const CurveFit&) = delete;  // the problem points into it
+
+  // GGX alone where a curve explains little that it does not, or no solution is found; of one gloss likewise.
+  SurfaceReflection Found(const ProfileGrid& grid) {
+    problem_.SetParameterBlockConstant(by_gloss_.data());
+    problem_.SetParameterBlockConstant(curve_.data());
+    const auto straight = Solve(problem_);
+    problem_.SetParameterBlockVariable(curve_.data());
+    const auto curved = Solve(problem_);
+    if (!straight || !curved || *straight - *curved < Worthwhile(kWorthwhileCurve)) return found_;
+    TakeCurve();
+    GlossField gloss = FlatGloss(grid);
+    if (gloss.nodes.empty()) return found_;
+    problem_.SetParameterBlockVariable(by_gloss_.data());
+    std::optional<double> glossy;
+    for (int round = 0; round < kGlossRounds; ++round) {
+      Spread(gloss);
+      glossy = Solve(problem_);
+      if (!glossy) return found_;
+    }
+    if (*curved - *glossy < Worthwhile(kWorthwhileGloss)) return found_;
+    TakeCurve();
+    found_.by_gloss = by_gloss_;
+    found_.gloss = std::move(gloss);
+    return found_;
+  }
+
+ private:
+  double* NarrowOf(const CurvedProfile& profile) { return &gain_.narrow[profile.place % channels_]; }
+  [[nodiscard]] double Worthwhile(double a_profile) const { return a_profile * static_cast<double>(profiles_.size()); }
+
+  template <int kBlock>
+  void AddPrior(const FacetCurve& expected, double sigma, double* curve) {
+    problem_.AddResidualBlock(
+        new ceres::AutoDiffCostFunction<CurvePrior, kTilts, kBlock>(new CurvePrior{expected, sigma}),
+        new ceres::ScaledLoss(nullptr, Worthwhile(kIndependent), ceres::TAKE_OWNERSHIP), curve);
+  }
+
+  void TakeCurve() {
+    std::copy_n(curve_.begin(), kTilts, found_.over_ggx.begin());
+    found_.hairs = curve_[kTilts];
+  }
+
+  // The field by the curves and the gain as they are, and each profile's gloss by the field.
+  void Spread(GlossField& gloss) {
+    std::vector<GlossWitness> witnesses;
+    witnesses.reserve(profiles_.size());
+    for (const CurvedProfile& profile : profiles_) witnesses.push_back(WitnessOf(profile));
+    SolveGloss(witnesses, gloss);
+    for (CurvedProfile& profile : profiles_) profile.gloss = gloss.At(profile.place);
+  }
+
+  [[nodiscard]] GlossWitness WitnessOf(const CurvedProfile& profile) {
+    const auto& lights = profile.lights;
+    std::vector<double> plain(lights.size()), glossier(lights.size());
+    const auto without = [&](size_t p) {
+      const CurvedProfile::Known& at = profile.known[p];
+      return at.ggx * OnCurve(curve_.data(), at.nodes) + at.hairs * curve_[kTilts];
+    };
+    const auto with = [&](size_t p) {
+      const CurvedProfile::Known& at = profile.known[p];
+      return without(p) + at.ggx * OnCurve(by_gloss_.data(), at.nodes);
+    };
+    ProfileResiduals(lights, gain_.tau, *NarrowOf(profile), without, plain.data());
+    ProfileResiduals(lights, gain_.tau, *NarrowOf(profile), with, glossier.data());
+    GlossWitness says{.profile = profile.place};
+    double square = 0.0;
+    for (size_t p = 0; p < lights.size(); ++p) {
+      const double effect = plain[p] - glossier[p], left = plain[p] - profile.gloss * effect;
+      says.along += plain[p] * effect;
+      says.square += effect * effect;
+      square += left * left;
+    }
+    const double trust = 1.0 / (1.0 + square / (kOutlier * kOutlier));  // Cauchy's
+    says.along *= trust;
+    says.square *= trust;
+    return says;
+  }
+
+  int channels_;
+  SurfaceReflection found_;
+  SharedGain gain_;
+  std::array<double, CurveResiduals::kParameters> curve_{};
+  FacetCurve by_gloss_;
+  std::deque<CurvedProfile> profiles_;
+  ceres::Problem problem_;
+};
 
 }  // namespace
 
@@ -291,15 +405,16 @@ ReflectionAngles ReflectionAngles::Of(const SrdBatch& batch, int64_t i) {
                  Eigen::Vector3d::UnitZ());
 }
 
-double ReflectanceOf(const SurfaceReflection& surface, const ReflectionAngles& angles, double eta) {
+double ReflectanceOf(const SurfaceReflection& surface, const ReflectionAngles& angles, double eta, double gloss) {
   if (!surface.Known() || !(angles.normal_in > 0.0) || !(angles.normal_out > 0.0)) return 0.0;
-  return surface.strength * Facets(surface.roughness, angles, eta) *
-             OnCurve(surface.over_ggx.data(), NodesOf(angles.normal_half)) +
+  const TiltNodes tilt = NodesOf(angles.normal_half);
+  const double over = OnCurve(surface.over_ggx.data(), tilt) + gloss * OnCurve(surface.by_gloss.data(), tilt);
+  return surface.strength * Facets(surface.roughness, angles, eta) * std::max(over, 0.0) +
          surface.hairs * HairsKernel(angles);
 }
 
 double ReflectedBy(const SurfaceReflection& surface, const SrdBatch& batch, int64_t profile, double eta) {
-  return ReflectanceOf(surface, ReflectionAngles::Of(batch, profile), eta);
+  return ReflectanceOf(surface, ReflectionAngles::Of(batch, profile), eta, surface.gloss.At(batch.PlaceOf(profile)));
 }
 
 WhiteReflectance WhiteReflectanceOf(const SrdBatch& batch, int64_t i) {
@@ -319,8 +434,9 @@ double HeldReflection(const SurfaceReflection& surface, const SrdBatch& batch, i
   return std::min(ReflectedBy(surface, batch, profile, eta), most);
 }
 
-SurfaceReflection EstimateSurfaceReflection(std::span<const SrdBatch* const> lights, int channels, double eta,
-                                            int every) {
+SurfaceReflection EstimateSurfaceReflection(std::span<const SrdBatch* const> lights, const ProfileGrid& grid,
+                                            double eta, int every) {
+  const int channels = grid.channels;
   SLX_CHECK(every >= 1 && channels >= 1);
   if (lights.empty()) return {};
   int64_t lit = 0;  // pixels
@@ -330,7 +446,7 @@ SurfaceReflection EstimateSurfaceReflection(std::span<const SrdBatch* const> lig
   SharedGain gain{.narrow = std::vector<double>(channels, 0.0)};
   const auto ggx = EstimateGgx(lights, channels, one_in, eta, gain);
   if (!ggx) return {};
-  return EstimateCurve(lights, channels, one_in, eta, *ggx, gain);
+  return CurveFit(lights, channels, one_in, eta, *ggx, gain).Found(grid);
 }
 
 }  // namespace stratalux::fit

@@ -12,6 +12,7 @@
 #include <array>
 #include <span>
 
+#include "fitter/mixture/gloss_field.h"
 #include "fitter/mixture/srd_samples.h"
 
 namespace stratalux::fit {
@@ -28,6 +29,9 @@ struct SurfaceReflection {
   // Of hairs above the skin, thin and lying anyhow: their reflectance times both cosines, a quarter of their
   // optical depth where they scatter alike into all directions (Koenderink & Pont 2003).
   double hairs = 0.0;
+  // Where the skin is glossier: over_ggx there is over_ggx + gloss by_gloss, and never below 0.
+  FacetCurve by_gloss{};
+  GlossField gloss = {};
 
   [[nodiscard]] bool Known() const { return strength >= 0.0; }
 
@@ -49,8 +53,10 @@ struct ReflectionAngles {
   [[nodiscard]] static ReflectionAngles Of(const SrdBatch& batch, int64_t profile);
 };
 
-// pi f_r, the reflectance unit of model section 6; 0 behind the horizon and where the surface is unknown.
-[[nodiscard]] double ReflectanceOf(const SurfaceReflection& surface, const ReflectionAngles& angles, double eta);
+// pi f_r, the reflectance unit of model section 6; 0 behind the horizon and where the surface is unknown. `gloss`: of
+// the place (SurfaceReflection::gloss).
+[[nodiscard]] double ReflectanceOf(const SurfaceReflection& surface, const ReflectionAngles& angles, double eta,
+                                   double gloss = 0.0);
 
 // The same of a profile under its light.
 [[nodiscard]] double ReflectedBy(const SurfaceReflection& surface, const SrdBatch& batch, int64_t profile, double eta);
@@ -74,9 +80,10 @@ inline constexpr double kMostSurface = 0.95;
 //   y_pc = W_c g_p(tau) (1 - n_c + n_c few_p) + strength R_p(roughness).
 // n_c few_p: the share of light that scattered a few times only, with the phase function of directional_weights.h; left
 // out, it would pass for surface. First strength and roughness of GGX, by light within 60 degrees of the normal; then,
-// by all light, the curve over it and the hairs, where they explain that light clearly better. Unknown where fewer than
-// a hundred profiles are lit from two directions, and where those do not tell the strength. The same bits always.
-[[nodiscard]] SurfaceReflection EstimateSurfaceReflection(std::span<const SrdBatch* const> lights, int channels,
-                                                          double eta, int every = 8);
+// by all light, the curve over it and the hairs, where they explain that light clearly better, and likewise the gloss,
+// where `grid`, the lights' own, tells the spacing. Unknown where fewer than a hundred profiles are lit from two
+// directions, and where those do not tell the strength. The same bits always.
+[[nodiscard]] SurfaceReflection EstimateSurfaceReflection(std::span<const SrdBatch* const> lights,
+                                                          const ProfileGrid& grid, double eta, int every = 8);
 
 }  // namespace stratalux::fit

@@ -84,7 +84,7 @@ Result<SharedLight> SessionGraph::Shared(const SrdKeys& keys, const SrdSet& srds
   }
   std::vector<SharedLight> found(missing.size());
   ParallelEach(missing.size(),
-               [&](size_t k) { found[k] = FindSharedLight(options_.fit, missing[k].second.batches, srds.channels); });
+               [&](size_t k) { found[k] = FindSharedLight(options_.fit, missing[k].second.batches, srds.Grid()); });
   for (size_t k = 0; k < missing.size(); ++k) shared_[missing[k].first] = found[k];
   return shared_.at(key_of(heldout));
 }

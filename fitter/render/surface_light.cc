@@ -47,11 +47,11 @@ std::vector<LitPart> LitParts(const SurfaceMap& surface, const RigCalibration& r
 }
 
 float ReflectanceAt(const ScatteringModel& model, const SurfaceMap& surface, const ProjectorCalibration& light, int i,
-                    int j) {
+                    int j, int64_t place) {
   const Eigen::Vector3d point = surface.Point(i, j);
   const auto angles = ReflectionAngles::Between((light.CentreInCamera() - point).normalized(), -point.normalized(),
                                                 surface.Normal(i, j));
-  return static_cast<float>(ReflectanceOf(model.reflection, angles, model.eta));
+  return static_cast<float>(ReflectanceOf(model.reflection, angles, model.eta, model.reflection.gloss.At(place)));
 }
 
 }  // namespace
@@ -68,7 +68,8 @@ Image<float> SurfaceReflectance(const MixtureMap& map, const SurfaceMap& surface
           const int64_t profile = map.ProfileOfQuad(i, j, c, pool);
           if (profile < 0 || !map.Fitted(profile)) continue;
           if (known) {
-            if (!of_any_colour) of_any_colour = ReflectanceAt(map.scattering, surface, light, i, j);
+            if (!of_any_colour)
+              of_any_colour = ReflectanceAt(map.scattering, surface, light, i, j, map.PlaceOf(profile));
             reflectance(i, j, c) = *of_any_colour;
             continue;
           }

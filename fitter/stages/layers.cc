@@ -149,11 +149,11 @@ Result<TrainingLights> TrainingLightsOf(const SrdSet& srds, int heldout) {
   return lights;
 }
 
-SharedLight FindSharedLight(const FitOptions& options, const Lights& lights, int channels) {
+SharedLight FindSharedLight(const FitOptions& options, const Lights& lights, const ProfileGrid& grid) {
   const ScatteringModel& model = options.em.scattering;
   SharedLight shared;
   if (options.em.surface_term && options.choose.reflection)
-    shared.reflection = EstimateSurfaceReflection(lights, channels, model.eta);
+    shared.reflection = EstimateSurfaceReflection(lights, grid, model.eta);
   shared.tau = model.gain_model ? EstimateTau(lights, model.eta, shared.reflection) : model.tau;
   return shared;
 }
@@ -181,7 +181,7 @@ Result<EmOptions> SharedOptions(const FitOptions& options, const Lights& lights,
 Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, const FitOptions& options, Logger& logger,
                              const std::string& label) {
   SLX_ASSIGN_OR_RETURN(const auto training, TrainingLightsOf(srds, heldout));
-  return FitLayers(srds, heldout, options, FindSharedLight(options, training.batches, srds.channels), logger, label);
+  return FitLayers(srds, heldout, options, FindSharedLight(options, training.batches, srds.Grid()), logger, label);
 }
 
 Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, const FitOptions& options, const SharedLight& shared,

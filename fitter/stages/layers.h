@@ -12,7 +12,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kFitVersion = 13;
+inline constexpr int kFitVersion = 14;
 
 // What a session's fit finds on its training lights by itself.
 struct SessionChoices {
@@ -56,7 +56,7 @@ struct SharedLight {
   double tau = 0.0;
 };
 [[nodiscard]] SharedLight FindSharedLight(const FitOptions& options, const std::vector<const SrdBatch*>& lights,
-                                          int channels);
+                                          const ProfileGrid& grid);
 
 // What EM is told but for the prior, with all that the profiles of the session share, chosen on `lights`.
 [[nodiscard]] Result<EmOptions> SharedOptions(const FitOptions& options, const std::vector<const SrdBatch*>& lights,

@@ -59,8 +59,8 @@ std::vector<std::string> AllQualityChannels(int channels) {
   return names;
 }
 
-// 2: the surface has a curve over GGX and hairs, which a reader of schema 1 would leave out.
-constexpr int kLayersSchema = 2;
+// 2: the surface has a curve over GGX and hairs, which a reader of schema 1 would leave out; 3: and a gloss.
+constexpr int kLayersSchema = 3;
 
 using LayerField = std::pair<const char*, std::vector<float> MixtureMap::*>;
 constexpr std::array<LayerField, 3> kLayerFields = {

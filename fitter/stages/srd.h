@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "fitter/mixture/gloss_field.h"
 #include "fitter/mixture/srd_samples.h"
 #include "fitter/session/session_frames.h"
 #include "fitter/srd/srd_extractor.h"
@@ -35,6 +36,7 @@ struct SrdSet {
   std::vector<SrdBatch> batches;      // by projector: of its columns
   std::vector<SrdBatch> row_batches;  // by projector: of its rows; empty without a row sweep
   double spacing_mm = 0.0;            // between neighbouring profiles on the skin; 0: unknown
+  [[nodiscard]] ProfileGrid Grid() const { return {width, height, channels, spacing_mm}; }
 };
 
 // All sweeps of a session. Frames that the capture lost: one of a cycle is made up for by the white frames, with more

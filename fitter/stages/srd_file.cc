@@ -165,6 +165,7 @@ Result<SrdBatch> LoadProfile(const fs::path& folder, int64_t profile) {
   const bool valid = found != sweep.which.end() && *found == profile;
   const int64_t at = found - sweep.which.begin();
   batch.valid = {static_cast<uint8_t>(valid ? 1 : 0)};
+  batch.place = {profile};
   batch.AllotRows(batch.valid, 0.0F);
   if (valid) {
     SLX_ASSIGN_OR_RETURN(batch.y, ReadNpyFloats(ArrayOf(folder, kSamples), at * batch.samples, batch.samples));

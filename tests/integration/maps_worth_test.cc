@@ -83,7 +83,7 @@ class MapsWorth : public ScratchFolderTest {
 };
 
 SharedLight SharedOf(const SrdSet& srds) {
-  return FindSharedLight({}, TrainingLightsOf(srds, kNoneHeldOut)->batches, srds.channels);
+  return FindSharedLight({}, TrainingLightsOf(srds, kNoneHeldOut)->batches, srds.Grid());
 }
 
 // Of all maps, on one mask: skin that the light truly reaches and that each of them has fitted.

@@ -56,6 +56,10 @@ TEST(SrdBatch, APartOfItHasItsProfilesRows) {
   ExpectNumbered(part, 0, 3.0F);
   ExpectNumbered(part, 2, 0.0F);
   EXPECT_EQ(part.row[1], -1);
+  // Of the whole they keep their places, and so do some of them.
+  EXPECT_EQ(batch.PlaceOf(2), 2);
+  EXPECT_EQ(part.PlaceOf(0), 3);
+  EXPECT_EQ(ProfilesOf(part, std::array<int64_t, 2>{2, 0}).place, (std::vector<int64_t>{0, 3}));
 }
 
 TEST(NoiseLine, IsTheCamerasLawWhicheverSampleComesFirst) {

@@ -92,28 +92,29 @@ TEST(SurfaceReflection, OfHairsGoesAsBothCosinesInverseAndIsHeldAtTheHorizon) {
   EXPECT_EQ(of(1.5, 0.0), of(1.52, 0.0));
 }
 
-// White frames of a sphere's front seen from afar, three colours: layers of any albedo, gain, few events, surface.
 // Facets in two Beckmann lobes that mask each other as grooves do, and hairs: nothing that GGX is, as skin is nothing.
-double GroovedSkin(const ReflectionAngles& a) {
+// Where it is oily, the grooves are filled: more of the flat lobe.
+double GroovedSkin(const ReflectionAngles& a, double oil = 0.0) {
   const double cos2 = a.normal_half * a.normal_half, tan2 = (1.0 - cos2) / cos2;
   const auto lobe = [&](double slope) { return std::exp(-tan2 / (slope * slope)) / (slope * slope * cos2 * cos2); };
-  const double facets = 0.35 * lobe(0.17) + 0.65 * lobe(0.4);
+  const double flat = 0.35 + 0.25 * oil, facets = flat * lobe(0.17) + (1.0 - flat) * lobe(0.4);
   const double grooves = std::min(1.0, 2.0 * a.normal_half * std::min(a.normal_in, a.normal_out) / a.half_in);
   const double fresnel = kFresnel + (1.0 - kFresnel) * std::pow(1.0 - a.half_in, 5);
-  return (1.2 * facets * grooves * fresnel / 4.0 + 0.003) / (a.normal_in * a.normal_out);
+  return ((1.2 + 0.2 * oil) * facets * grooves * fresnel / 4.0 + 0.003) / (a.normal_in * a.normal_out);
 }
 
+// White frames of a sphere's front seen from afar, three colours: layers of any albedo, gain, few events, surface.
 struct Sphere {
   double strength = 1.0, roughness = 0.35, tau = 0.2;
   std::array<double, 3> few = {0.1, 0.15, 0.2};
   double noise = 0.0;     // of each light, relative
   double shadowed = 0.0;  // share of the lights that something else halves
   bool grooved = false;   // GroovedSkin in place of GGX
+  bool oily = false;      // about kOily
 
   [[nodiscard]] std::vector<SrdBatch> Lights(const std::vector<Eigen::Vector3d>& lamps) const {
     Random random(7);
     std::vector<SrdBatch> lights(lamps.size());
-    constexpr int kSide = 40;
     std::vector<double> albedo;
     for (int k = 0; k < 3 * kSide * kSide; ++k)
       albedo.push_back((k % 3 == 0 ? 0.45 : 0.2) * (0.8 + 0.4 * random.Uniform()));
@@ -123,15 +124,26 @@ struct Sphere {
         if (x * x + y * y > 0.8) continue;
         for (int c = 0; c < 3; ++c)
           AddProfile({x, y, std::sqrt(1.0 - x * x - y * y)}, lamps[p], c, albedo[3 * k + c], random, lights[p]);
+        for (int c = 0; c < 3; ++c) lights[p].place.push_back(3 * k + c);
       }
     return lights;
   }
-
-  [[nodiscard]] double Reflected(const ReflectionAngles& angles) const {
-    return grooved ? GroovedSkin(angles) : ReflectanceOf({strength, roughness}, angles, kEta);
+  static ProfileGrid Grid() { return {kSide, kSide, 3, 2.0}; }
+  // A profile that shows the sphere there.
+  static int64_t PlaceOf(const Eigen::Vector3d& normal) {
+    const auto at = [](double x) { return static_cast<int64_t>((x + 0.8) / 1.6 * kSide); };
+    return 3 * (at(normal.y()) * kSide + at(normal.x()));
   }
 
+  [[nodiscard]] double Reflected(const ReflectionAngles& angles, const Eigen::Vector3d& normal) const {
+    const double oil = oily ? std::exp(-(normal - kOily).squaredNorm() / (2.0 * 0.2 * 0.2)) : 0.0;
+    return grooved ? GroovedSkin(angles, oil) : ReflectanceOf({strength, roughness}, angles, kEta);
+  }
+  inline static const Eigen::Vector3d kOily = Eigen::Vector3d(0.1, 0.25, 1.0).normalized();
+
  private:
+  static constexpr int kSide = 40;
+
   void AddProfile(const Eigen::Vector3d& normal, const Eigen::Vector3d& lamp, int c, double albedo, Random& random,
                   SrdBatch& b) const {
     const Eigen::Vector3d along = Eigen::Vector3d::UnitY().cross(normal).normalized(), across = normal.cross(along);
@@ -155,7 +167,7 @@ struct Sphere {
       const RefractedDirections d = DirectionsOf(lamp, eye, normal, kEta);
       const double events = d.sec_in * d.sec_out * std::exp(1.15 * (1.0 + d.cos_scatter));
       white = albedo * AngularGain(normal.dot(lamp), kEta, tau) * (1.0 + few[c] * (events - 1.0)) +
-              Reflected(ReflectionAngles::Between(lamp, eye, normal));
+              Reflected(ReflectionAngles::Between(lamp, eye, normal), normal);
       white *= 1.0 + noise * random.Normal();
       if (random.Uniform() < shadowed) white *= 0.5;
     }
@@ -172,10 +184,10 @@ const std::vector<Eigen::Vector3d>& ThreeLamps() {
   return lamps;
 }
 
-SurfaceReflection Estimate(const std::vector<SrdBatch>& lights) {
+SurfaceReflection Estimate(const std::vector<SrdBatch>& lights, const ProfileGrid& grid = {.channels = 3}) {
   std::vector<const SrdBatch*> pointers;
   for (const SrdBatch& b : lights) pointers.push_back(&b);
-  return EstimateSurfaceReflection(pointers, 3, kEta, 1);
+  return EstimateSurfaceReflection(pointers, grid, kEta, 1);
 }
 
 class EstimateSurfaceReflectionTest : public testing::TestWithParam<Sphere> {};
@@ -208,7 +220,7 @@ ErrorElsewhere ErrorUnderOtherLamps(const Sphere& sphere, const SurfaceReflectio
                           lamp = Direction(0.6, 6.28 * random.Uniform());
     const ReflectionAngles angles = ReflectionAngles::Between(lamp, eye, normal);
     if (!(angles.normal_in > 0.3)) continue;
-    const double truth = sphere.Reflected(angles);
+    const double truth = sphere.Reflected(angles, normal);
     curve += std::pow(ReflectanceOf(found, angles, kEta) - truth, 2);
     alone += std::pow(ReflectanceOf(ggx, angles, kEta) - truth, 2);
     square += truth * truth;
@@ -221,6 +233,55 @@ TEST(EstimateSurfaceReflection, DrawsWhatNoGgxIs) {
   const ErrorElsewhere error = ErrorUnderOtherLamps(skin, Estimate(skin.Lights(ThreeLamps())));
   EXPECT_LT(error.curve, 0.04);
   EXPECT_GT(error.ggx, 3.0 * error.curve);
+}
+
+// Error, relative (rms), of what oily skin mirrors of lamps from all sides.
+double ErrorWhereOily(const Sphere& sphere, const SurfaceReflection& found) {
+  const Eigen::Vector3d normal = Sphere::kOily, eye(0.0, 0.0, 1.0);
+  double square = 0.0, truth = 0.0;
+  for (int k = 0; k < 400; ++k) {
+    const auto angles = ReflectionAngles::Between(Direction(0.02 * (k % 40), 0.628 * (k / 40)), eye, normal);
+    const double there = sphere.Reflected(angles, normal);
+    square += std::pow(ReflectanceOf(found, angles, kEta, found.gloss.At(Sphere::PlaceOf(normal))) - there, 2);
+    truth += there * there;
+  }
+  return std::sqrt(square / truth);
+}
+
+TEST(EstimateSurfaceReflection, FindsWhereSkinIsGlossier) {
+  const Sphere skin{.noise = 0.02, .grooved = true, .oily = true};
+  const auto lights = skin.Lights(ThreeLamps());
+  const SurfaceReflection found = Estimate(lights, Sphere::Grid()), even = Estimate(lights);
+  ASSERT_FALSE(found.gloss.nodes.empty());
+  EXPECT_TRUE(even.gloss.nodes.empty());
+  EXPECT_LT(ErrorWhereOily(skin, found), 0.75 * ErrorWhereOily(skin, even));
+  const double oily = found.gloss.At(Sphere::PlaceOf(Sphere::kOily));
+  for (const double x : {-0.6, 0.6})
+    EXPECT_LT(found.gloss.At(Sphere::PlaceOf(Eigen::Vector3d(x, -0.4, 0.7))), 0.2 * oily) << x;
+}
+
+TEST(HeldReflection, OfAPartOfAMapHasTheGlossOfItsPlaces) {
+  const std::vector<SrdBatch> lights = Sphere{}.Lights(ThreeLamps());
+  SurfaceReflection glossy{1.0, 0.35};
+  glossy.by_gloss.fill(0.8);
+  glossy.gloss = FlatGloss(Sphere::Grid());
+  for (size_t k = 0; k < glossy.gloss.nodes.size(); ++k) glossy.gloss.nodes[k] = 0.1 * static_cast<double>(k);
+  const std::vector<int64_t> which = {2000, 7, 1234};
+  const SrdBatch part = ProfilesOf(lights[0], which);
+  for (size_t k = 0; k < which.size(); ++k) {
+    const double whole = HeldReflection(glossy, lights[0], which[k], kEta);
+    EXPECT_EQ(HeldReflection(glossy, part, static_cast<int64_t>(k), kEta), whole);
+    const double gloss = glossy.gloss.At(lights[0].PlaceOf(which[k]));
+    EXPECT_NEAR(ReflectedBy(glossy, part, static_cast<int64_t>(k), kEta),
+                (1.0 + 0.8 * gloss) * ReflectedBy({1.0, 0.35}, part, static_cast<int64_t>(k), kEta), 1e-12);
+  }
+}
+
+TEST(EstimateSurfaceReflection, OfEvenSkinHasNoGloss) {
+  for (const bool grooved : {true, false}) {
+    const Sphere skin{.noise = 0.02, .grooved = grooved};
+    EXPECT_TRUE(Estimate(skin.Lights(ThreeLamps()), Sphere::Grid()).gloss.nodes.empty()) << grooved;
+  }
 }
 
 TEST(EstimateSurfaceReflection, OfGgxDrawsNothing) {

@@ -15,19 +15,19 @@ TEST(SharedLight, IsTheSameWhereverTheSurfaceIsPlacedAndForFitsThatAreBlind) {
   for (double slope : {-1.0, 0.0, 0.58})
     lights.push_back(test::CombOf(test::FiveLayers(), slope, 400, 4000.0, options.em, random));
   const std::vector<const SrdBatch*> pointers = {&lights[0], &lights[1], &lights[2]};
-  const SharedLight before = FindSharedLight(options, pointers, 1);
+  const SharedLight before = FindSharedLight(options, pointers, {});
   EXPECT_GT(before.tau, 0.0);
   for (SrdBatch& light : lights)
     for (float& u : light.first_u_mm) u += 0.13F * light.slope_in[0];
   options.em.direction_blind = true;
-  const SharedLight after = FindSharedLight(options, pointers, 1);
+  const SharedLight after = FindSharedLight(options, pointers, {});
   EXPECT_EQ(after.tau, before.tau);
   EXPECT_EQ(after.reflection.strength, before.reflection.strength);
   EXPECT_EQ(after.reflection.roughness, before.reflection.roughness);
   EXPECT_EQ(after.reflection.over_ggx, before.reflection.over_ggx);
   EXPECT_EQ(after.reflection.hairs, before.reflection.hairs);
   lights[1].y[7] *= 1.5F;  // and it does look at the light
-  EXPECT_NE(FindSharedLight(options, pointers, 1).tau, before.tau);
+  EXPECT_NE(FindSharedLight(options, pointers, {}).tau, before.tau);
 }
 
 TEST(FitLayers, SweepsPooledProfilesAsManyTimesMoreAsTheyAreFewer) {

@@ -52,7 +52,7 @@ class MapsStage : public ::testing::Test {
     return layers;
   }
   AllLayers MapsOf(const SrdSet& srds) {
-    const SharedLight shared = FindSharedLight(Options(), TrainingLightsOf(srds, kNoneHeldOut)->batches, srds.channels);
+    const SharedLight shared = FindSharedLight(Options(), TrainingLightsOf(srds, kNoneHeldOut)->batches, srds.Grid());
     auto made = FitMaps(srds, kHeldOut, Options(), shared, logger_, "maps");
     EXPECT_TRUE(made.ok()) << made.status().message();
     return *std::move(made);

@@ -96,6 +96,9 @@ TEST(SavedFit, WhatIsReadIsWhatWasMade) {
                     .reflection = {random.Uniform(0.5, 2.0), random.Uniform(0.1, 0.5)}};
   for (double& times : map.scattering.reflection.over_ggx) times = random.Uniform(0.0, 3.0);
   map.scattering.reflection.hairs = random.Uniform(0.0, 0.01);
+  for (double& more : map.scattering.reflection.by_gloss) more = random.Uniform(-1.0, 1.0);
+  map.scattering.reflection.gloss = {5, 3, 2, 4, {}};
+  for (int k = 0; k < 12; ++k) map.scattering.reflection.gloss.nodes.push_back(random.Uniform());
   map.prior_photons = 1000.0 / 7.0;
   map.session_photons = 100.0 / 7.0;
   const auto profiles = static_cast<size_t>(map.profiles());
@@ -140,6 +143,9 @@ TEST(SavedFit, WhatIsReadIsWhatWasMade) {
   EXPECT_EQ(is.reflection.roughness, was.reflection.roughness);
   EXPECT_EQ(is.reflection.over_ggx, was.reflection.over_ggx);
   EXPECT_EQ(is.reflection.hairs, was.reflection.hairs);
+  EXPECT_EQ(is.reflection.by_gloss, was.reflection.by_gloss);
+  for (int64_t profile = 0; profile < map.profiles(); ++profile)
+    EXPECT_EQ(is.reflection.gloss.At(profile), was.reflection.gloss.At(profile));
 }
 
 // What an older program would read as another surface it must not read at all.
@@ -148,19 +154,20 @@ TEST(SavedFit, OfANewerSchemaIsRefused) {
   ASSERT_TRUE(SaveLayers(folder.path(), {OneLayerMap(), 1, Image<float>(3, 2, 3, 40.0F)}).ok());
   EXPECT_TRUE(LoadLayers(folder.path()).ok());
   std::string text = ReadText(folder / "layers.json");
-  const std::string schema = "\"schema\": 2";
+  const std::string schema = "\"schema\": 3";
   ASSERT_NE(text.find(schema), std::string::npos);
-  text.replace(text.find(schema), schema.size(), "\"schema\": 3");
+  text.replace(text.find(schema), schema.size(), "\"schema\": 4");
   WriteText(folder / "layers.json", text);
   EXPECT_EQ(LoadLayers(folder.path()).status().code(), StatusCode::kNewerSchema);
 }
 
-TEST(ReflectionJson, OfAProgramThatKnewNeitherCurveNorHairsIsGgxAlone) {
+TEST(ReflectionJson, OfAProgramThatKnewNeitherCurveNorHairsNorGlossIsGgxAlone) {
   const SurfaceReflection read = ReflectionFrom(nlohmann::json::parse(R"({"strength": 1.25, "roughness": 0.3})"));
   EXPECT_EQ(read.strength, 1.25);
   EXPECT_EQ(read.roughness, 0.3);
   EXPECT_EQ(read.over_ggx, SurfaceReflection{}.over_ggx);
   EXPECT_EQ(read.hairs, 0.0);
+  EXPECT_EQ(read.gloss.At(7), 0.0);
   EXPECT_FALSE(ReflectionFrom(nlohmann::json(ReflectionJson({}))).Known());
 }
 

@@ -455,11 +455,28 @@ TEST(SurfaceReflectance, HighlightFollowsTheLamp) {
   }
 }
 
+TEST(SurfaceReflectance, IsTheGlossOfThePlaceThatAProfileComesFrom) {
+  const LitScene scene = MakeScene(FrontalPlane(), kFromLeft);
+  MixtureMap skin = UniformSkin(scene, SkinLayers());
+  skin.scattering.reflection = {1.0, 0.4};
+  const Image<float> dry = SurfaceReflectance(skin, scene.surface, scene.lit.light, 1);
+  skin.scattering.reflection.by_gloss.fill(1.0);
+  skin.scattering.reflection.gloss = {48, 1, 48, 2, {0.0, 1.0, 0.0, 1.0}};  // rises to the right
+  const Image<float> glossy = SurfaceReflectance(skin, scene.surface, scene.lit.light, 1);
+  for (const int x : {0, 12, 36}) EXPECT_NEAR(glossy(x, 18), (1.0 + x / 48.0) * dry(x, 18), 1e-6);
+  // Of a face that moved, each pixel shows another one's skin.
+  std::vector<int64_t> from(static_cast<size_t>(skin.profiles()));
+  for (size_t i = 0; i < from.size(); ++i) from[i] = skin.ProfileIndex(36, 18, 0);
+  const Image<float> carried = SurfaceReflectance(ProfilesOf(skin, from), scene.surface, scene.lit.light, 1);
+  EXPECT_NEAR(carried(12, 18), 1.75 * dry(12, 18), 1e-6);
+}
+
 TEST(SurfaceReflectance, OfAFitWithoutOneIsTheMeanOfItsLights) {
   const LitScene scene = MakeScene(FrontalPlane(), kFromLeft);
   MixtureMap skin = UniformSkin(scene, SkinLayers());
   skin.training_projectors = {0, 1};
   skin.surface.assign(2 * static_cast<size_t>(skin.profiles()), 0.02F);
+  skin.background.assign(skin.surface.size(), 0.0F);
   for (size_t k = 1; k < skin.surface.size(); k += 2) skin.surface[k] = 0.04F;
   EXPECT_NEAR(SurfaceReflectance(skin, scene.surface, scene.lit.light, 1)(20, 20), 0.03F, 1e-7);
   // Of those that lit it.
