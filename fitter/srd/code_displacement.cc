@@ -29,22 +29,27 @@ Eigen::Vector2d ShiftOf(const Eigen::Vector2d& slope, const ScatteringModel& mod
           TangentialShift(model.shift_law, slope.y(), slope.x(), model.eta)};
 }
 
-double DisplacementAt(const Eigen::Vector3d& point, const Eigen::Vector3d& normal, const std::vector<float>& coded,
+// Of one projector's codes.
+struct Codes {
+  float weight = 0.0F, scattered = 1.0F;
+};
+
+double DisplacementAt(const Eigen::Vector3d& point, const Eigen::Vector3d& normal, const std::vector<Codes>& codes,
                       const RigCalibration& rig, const ScatteringModel& model) {
   const Eigen::Vector3d to_camera = -point.normalized();
   if (to_camera.dot(normal) < kLeastCos) return 0.0;
   const Tangents plane(normal);
   const Eigen::Vector2d slope_out = plane.SlopeOf(to_camera), shift_out = ShiftOf(slope_out, model);
-  const bool any = std::ranges::any_of(coded, [](float share) { return share > 0.0F; });
+  const bool any = std::ranges::any_of(codes, [](const Codes& of) { return of.weight > 0.0F; });
   double of_codes = 0.0, of_depth = 0.0;
   for (size_t p = 0; p < rig.projectors.size(); ++p) {
     const Eigen::Vector3d to_lamp = (rig.projectors[p].CentreInCamera() - point).normalized();
     const double cos_in = to_lamp.dot(normal);
     if (cos_in < kLeastCos) continue;
-    const double weight = (any ? coded[p] : 1.0) * cos_in * cos_in;
+    const double weight = (any ? codes[p].weight : 1.0) * cos_in * cos_in;
     const Eigen::Vector2d slope_in = plane.SlopeOf(to_lamp), slope = slope_in - slope_out;
     const Eigen::Vector2d shift = ShiftOf(slope_in, model) - shift_out;
-    of_codes += weight * shift.dot(slope);
+    of_codes += weight * codes[p].scattered * shift.dot(slope);
     of_depth += weight * slope.squaredNorm();
   }
   return of_depth > 0.0 ? of_codes / of_depth : 0.0;
@@ -53,14 +58,15 @@ double DisplacementAt(const Eigen::Vector3d& point, const Eigen::Vector3d& norma
 }  // namespace
 
 Image<float> CodeDisplacement(const SurfaceMap& surface, const std::vector<Image<float>>& coded,
-                              const RigCalibration& rig, const ScatteringModel& model) {
+                              const std::vector<Image<float>>& scattered, const RigCalibration& rig,
+                              const ScatteringModel& model) {
   Image<float> displacement(surface.width(), surface.height());
   ParallelFor(surface.height(), 8, [&](int64_t begin, int64_t end) {
-    std::vector<float> here(rig.projectors.size());
+    std::vector<Codes> here(rig.projectors.size());
     for (int y = static_cast<int>(begin); y < end; ++y)
       for (int x = 0; x < surface.width(); ++x) {
         if (surface.mask(x, y) == 0) continue;
-        for (size_t p = 0; p < here.size(); ++p) here[p] = coded[p](x, y);
+        for (size_t p = 0; p < here.size(); ++p) here[p] = {coded[p](x, y), scattered[p](x, y)};
         displacement(x, y) =
             static_cast<float>(DisplacementAt(surface.Point(x, y), surface.Normal(x, y), here, rig, model));
       }

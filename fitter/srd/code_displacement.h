@@ -12,11 +12,13 @@
 namespace stratalux::fit {
 
 // Of each quad of `surface`, along its normal, per mm of the depth that the codes seem to come from; 0 outside the
-// mask. A code is displaced by T(omega_i) - T(omega_o) a mm of that depth, what a deeper surface does to it is
-// t(omega_i) - t(omega_o) a mm: the triangulated depth is the least squares over columns and rows of all projectors,
-// each weighted by what its codes weigh in the surface (`coded`: by projector, on quads; where none has any, all that
-// it faces) and the square of its pixels' density on the skin. Between 0 and 1.
+// mask. What scattered is displaced by T(omega_i) - T(omega_o) a mm of that depth, what the very surface mirrors is
+// not, and a code by the mean of both (`scattered`: the share of the former, by projector, on quads). A deeper surface
+// displaces it by t(omega_i) - t(omega_o) a mm: the triangulated depth is the least squares over columns and rows of
+// all projectors, each weighted by what its codes weigh in the surface (`coded`: by projector, on quads; where none has
+// any, all that it faces) and the square of its pixels' density on the skin. Between 0 and 1.
 [[nodiscard]] Image<float> CodeDisplacement(const SurfaceMap& surface, const std::vector<Image<float>>& coded,
-                                            const RigCalibration& rig, const ScatteringModel& model);
+                                            const std::vector<Image<float>>& scattered, const RigCalibration& rig,
+                                            const ScatteringModel& model);
 
 }  // namespace stratalux::fit

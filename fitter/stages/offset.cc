@@ -3,6 +3,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <span>
+#include <vector>
 
 #include "fitter/export/exr_file.h"
 #include "fitter/srd/code_displacement.h"
@@ -38,6 +40,54 @@ std::vector<float> Pooled(const Image<float>& map, int pool) {
   return means;
 }
 
+// Reflectance of what scattered, by pixel: the mean over colours and `lights` that show it; NaN where none does.
+std::vector<double> ScatteredReflectance(std::span<const SrdBatch* const> lights, const ScatteringModel& model,
+                                         int channels) {
+  std::vector<double> means;
+  const int64_t profiles = lights[0]->profiles();
+  for (int64_t first = 0; first < profiles; first += channels) {
+    double sum = 0.0, count = 0.0;
+    for (int64_t i = first; i < first + channels; ++i)
+      for (const SrdBatch* light : lights) {
+        const double white = light->Shares(i) ? WhiteReflectanceOf(*light, i).value : 0.0;
+        if (!(white > 0.0)) continue;
+        sum += white - HeldReflection(model.reflection, *light, i, model.eta);
+        count += 1.0;
+      }
+    means.push_back(sum / count);
+  }
+  return means;
+}
+
+// Of the light that a projector's codes are read in, the share that scattered: by projector, on quads; 1 where no light
+// of `lights`, or no reflection, tells.
+std::vector<Image<float>> ScatteredShares(std::span<const SrdBatch* const> lights, const SrdSet& srds,
+                                          const FaceShape& shape, const ScatteringModel& model) {
+  const SurfaceMap& surface = shape.surface;
+  std::vector<Image<float>> shares(shape.record.projectors.size(),
+                                   Image<float>(surface.width(), surface.height(), 1, 1.0F));
+  if (!model.reflection.Known()) return shares;
+  const std::vector<double> scattered = ScatteredReflectance(lights, model, srds.channels);
+  for (int j = 0; j < surface.height(); ++j)
+    for (int i = 0; i < surface.width(); ++i) {
+      const int x = i / srds.pool, y = j / srds.pool;
+      if (surface.mask(i, j) == 0 || x >= srds.width || y >= srds.height) continue;
+      const int64_t pixel = int64_t{y} * srds.width + x;
+      const double subsurface = scattered[static_cast<size_t>(pixel)];
+      if (!(subsurface > 0.0)) continue;
+      const Eigen::Vector3d point = surface.Point(i, j);
+      for (size_t p = 0; p < shares.size(); ++p) {
+        const auto angles =
+            ReflectionAngles::Between((shape.record.projectors[p].CentreInCamera() - point).normalized(),
+                                      -point.normalized(), surface.Normal(i, j));
+        const double mirrored =
+            ReflectanceOf(model.reflection, angles, model.eta, model.reflection.gloss.At(pixel * srds.channels));
+        shares[p](i, j) = static_cast<float>(subsurface / (subsurface + mirrored));
+      }
+    }
+  return shares;
+}
+
 }  // namespace
 
 Result<FaceOffset> FindOffset(const SrdSet& srds, const FaceShape& shape, int heldout, const FitOptions& options,
@@ -45,7 +95,9 @@ Result<FaceOffset> FindOffset(const SrdSet& srds, const FaceShape& shape, int he
   SLX_ASSIGN_OR_RETURN(const auto training, TrainingLightsOf(srds, heldout));
   SLX_ASSIGN_OR_RETURN(const EmOptions em, SharedOptions(options, training.batches, srds, shared, logger, label));
   FaceOffset offset;
-  offset.displacement = CodeDisplacement(shape.surface, shape.code_weights, shape.record, em.scattering);
+  offset.displacement =
+      CodeDisplacement(shape.surface, shape.code_weights, ScatteredShares(training.batches, srds, shape, em.scattering),
+                       shape.record, em.scattering);
   SLX_ASSIGN_OR_RETURN(offset.found, EstimateOffset(training.batches, training.projectors, srds.width, srds.channels,
                                                     std::max(QuadSpacingMm(shape.surface) * srds.pool, 1e-3),
                                                     Pooled(offset.displacement, srds.pool), em));

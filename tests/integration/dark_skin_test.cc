@@ -47,7 +47,8 @@ struct Coverage {
   int64_t lit = 0;     // quads of skin lit by two projectors and more
   int64_t fitted = 0;  // of them in one colour and more
   std::array<int64_t, 3> of_colour{};
-  std::vector<float> signal_to_noise;  // of green and blue, where fitted
+  std::vector<float> signal_to_noise;                  // of green and blue, where fitted
+  double depth_bias_mm = 0.0, unplaced_bias_mm = 0.0;  // of the surface, placed and as the codes have it
   [[nodiscard]] double Share(int64_t quads) const { return static_cast<double>(quads) / static_cast<double>(lit); }
   [[nodiscard]] double share() const { return Share(fitted); }
   [[nodiscard]] double MedianSignalToNoise() const {
@@ -113,6 +114,11 @@ class DarkSkin : public ScratchFolderTest {
     EXPECT_EQ(quality->width(), material->width());
     const std::vector<int> lights = LightsOf(*truth);
     Coverage coverage;
+    const Json metrics = Json::parse(ReadText(fit / "metrics.json"));
+    for (const Json& offset : metrics.at("offsets"))
+      coverage.depth_bias_mm =
+          std::max(coverage.depth_bias_mm, std::abs(offset["truth"]["depth_bias_mm"].get<double>()));
+    coverage.unplaced_bias_mm = metrics.at("unplaced").at("depth_bias_mm");
     for (int y = 0; y < material->height(); ++y)
       for (int x = 0; x < material->width(); ++x) {
         constexpr float kSkin = 1.0F;
@@ -145,6 +151,8 @@ TEST_F(DarkSkin, IsFittedWhereItIsLit) {
     EXPECT_GT(coverage.lit, 5000) << melanin;
     EXPECT_GE(coverage.share(), 0.9) << melanin;
     EXPECT_GE(coverage.ShareOfColours(), 0.9) << melanin;
+    // Half of dark skin's light comes from its very surface, whose codes lie where they are seen.
+    EXPECT_LT(coverage.depth_bias_mm, 0.4 * coverage.unplaced_bias_mm) << melanin;
     // What the choice is for: the plan's exposure is as wide, and far dimmer.
     if (melanin == 0.2) {
       EXPECT_LT(Run(melanin, "--exposure 16").MedianSignalToNoise(), 0.85 * coverage.MedianSignalToNoise());

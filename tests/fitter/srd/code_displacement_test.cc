@@ -11,13 +11,15 @@
 namespace stratalux::fit {
 namespace {
 
-// `coded`: by projector, of every quad; empty: all.
+// `coded`, `scattered`: by projector, of every quad; empty: all.
 Image<float> DisplacementOf(const RigCalibration& rig, const SurfaceMap& surface, const ScatteringModel& model,
-                            std::vector<float> coded = {}) {
+                            std::vector<float> coded = {}, std::vector<float> scattered = {}) {
   coded.resize(rig.projectors.size(), coded.empty() ? 1.0F : 0.0F);
-  std::vector<Image<float>> shares;
-  for (const float share : coded) shares.emplace_back(surface.width(), surface.height(), 1, share);
-  return CodeDisplacement(surface, shares, rig, model);
+  scattered.resize(rig.projectors.size(), 1.0F);
+  std::vector<Image<float>> weights, shares;
+  for (const float weight : coded) weights.emplace_back(surface.width(), surface.height(), 1, weight);
+  for (const float share : scattered) shares.emplace_back(surface.width(), surface.height(), 1, share);
+  return CodeDisplacement(surface, weights, shares, rig, model);
 }
 
 TEST(CodeDisplacement, OfStraightRaysIsTheDepthItself) {
@@ -62,7 +64,7 @@ TEST(CodeDisplacement, IsWhatLeastSquaresMakesOfDisplacedCodes) {
     return across / std::sqrt(1.0 - across.squaredNorm());
   };
   constexpr double kDepth = 0.2;
-  std::vector<double> coded = {1.0, 1.0};
+  std::vector<double> coded = {1.0, 1.0}, scattered = {1.0, 1.0};
   const auto error_at = [&](double too_deep) {
     double squares = 0.0;
     for (size_t p = 0; p < coded.size(); ++p) {
@@ -71,7 +73,7 @@ TEST(CodeDisplacement, IsWhatLeastSquaresMakesOfDisplacedCodes) {
       const double cos_in = to_lamp.dot(normal);
       if (cos_in < 0.1) continue;
       // On the tangent plane: where the light came in, and where the lamp's ray through the point too deep meets it.
-      const Eigen::Vector3d came_in = kDepth * (refracted(to_lamp) - refracted(-view));
+      const Eigen::Vector3d came_in = scattered[p] * kDepth * (refracted(to_lamp) - refracted(-view));
       const Eigen::Vector3d moved = too_deep * (to_lamp / cos_in - -view / -view.dot(normal));
       squares += coded[p] * std::pow(cos_in, 2) * (came_in - moved).squaredNorm();
     }
@@ -91,6 +93,11 @@ TEST(CodeDisplacement, IsWhatLeastSquaresMakesOfDisplacedCodes) {
   EXPECT_GT(std::abs(best() - of_both), 2e-3);
   coded = {0.25, 1.0};
   EXPECT_NEAR(DisplacementOf(rig, plane, model, {0.25F, 1.0F})(i, j) * kDepth, best(), 2e-4);
+  // What the very surface mirrors is seen where it falls.
+  coded = {1.0, 1.0};
+  scattered = {0.3, 0.9};
+  EXPECT_NEAR(DisplacementOf(rig, plane, model, {1.0F, 1.0F}, {0.3F, 0.9F})(i, j) * kDepth, best(), 2e-4);
+  EXPECT_LT(best(), 0.8 * of_both);
 }
 
 TEST(CodeDisplacement, IsNothingWhereNoSurfaceIs) {
