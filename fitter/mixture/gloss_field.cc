@@ -16,6 +16,8 @@ constexpr double kTogether = 5.0;
 // A node's gloss before light has told is exponential of that rate: most of a face is dry.
 constexpr double kDry = 2.0;
 
+int NodesOver(int pixels, int cell_px) { return (pixels - 1) / cell_px + 2; }
+
 struct Corner {
   Eigen::Index node = 0;
   double share = 0.0;
@@ -69,13 +71,22 @@ double GlossField::At(int64_t profile) const {
   return gloss;
 }
 
+bool GlossField::IsOf(const ProfileGrid& map) const {
+  if (nodes.empty()) return true;
+  if (width != map.width || channels != map.channels || width < 1 || map.height < 1 || channels < 1 || cell_px < 1)
+    return false;
+  return columns == NodesOver(map.width, cell_px) &&
+         std::ssize(nodes) == int64_t{columns} * NodesOver(map.height, cell_px) &&
+         std::ranges::all_of(nodes, [](double gloss) { return gloss >= 0.0 && std::isfinite(gloss); });
+}
+
 GlossField FlatGloss(const ProfileGrid& grid) {
   GlossField field{.width = grid.width, .channels = grid.channels, .nodes = {}};
   if (!(grid.spacing_mm > 0.0) || grid.width < 1 || grid.height < 1) return field;
   field.cell_px = std::max(1, static_cast<int>(std::lround(std::min(kGlossCellMm / grid.spacing_mm, 1e6))));
-  const auto nodes_over = [&](int pixels) { return (pixels - 1) / field.cell_px + 2; };
-  field.columns = nodes_over(grid.width);
-  field.nodes.assign(static_cast<size_t>(field.columns) * static_cast<size_t>(nodes_over(grid.height)), 0.0);
+  field.columns = NodesOver(grid.width, field.cell_px);
+  field.nodes.assign(static_cast<size_t>(field.columns) * static_cast<size_t>(NodesOver(grid.height, field.cell_px)),
+                     0.0);
   return field;
 }
 

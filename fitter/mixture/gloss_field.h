@@ -23,6 +23,8 @@ struct GlossField {
 
   // Of a profile of the map.
   [[nodiscard]] double At(int64_t profile) const;
+  // Whether these are the nodes of such a map, as read from a file; none are those of any.
+  [[nodiscard]] bool IsOf(const ProfileGrid& map) const;
 };
 
 // A field of zeros, its nodes kGlossCellMm apart; empty where the spacing is unknown.

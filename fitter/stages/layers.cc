@@ -27,6 +27,8 @@ std::string Describe(const ScatteringModel& model) {
     text << model.reflection.strength << " of Fresnel's, roughness " << model.reflection.roughness;
   else
     text << "of each light its own";
+  if (const auto& gloss = model.reflection.gloss.nodes; !gloss.empty())
+    text << ", gloss up to " << *std::ranges::max_element(gloss);
   return text.str();
 }
 

@@ -215,6 +215,8 @@ Result<FittedLayers> LoadLayers(const std::filesystem::path& folder) {
     map.surface.push_back(floor.pixels()[i]);
     map.background.push_back(floor.pixels()[i + 1]);
   }
+  if (!map.scattering.reflection.gloss.IsOf({map.width, map.height, map.channels}))
+    return Status::Integrity((folder / "layers.json").string() + ": its gloss is not of this map; fit again");
   SLX_RETURN_IF_ERROR(ReadQuality(folder, layers));
   return layers;
 }

@@ -148,6 +148,33 @@ TEST(SavedFit, WhatIsReadIsWhatWasMade) {
     EXPECT_EQ(is.reflection.gloss.At(profile), was.reflection.gloss.At(profile));
 }
 
+// A damaged field must not be looked up.
+TEST(SavedFit, OfAGlossOfAnotherMapIsRefused) {
+  const ScratchFolder folder;
+  MixtureMap map = OneLayerMap();
+  map.scattering.reflection = {1.0, 0.3};
+  map.scattering.reflection.gloss = {3, 3, 2, 3, {0.0, 0.1, 0.2, 0.3, 0.4, 0.5}};
+  ASSERT_TRUE(SaveLayers(folder.path(), {map, 1, Image<float>(3, 2, 3, 40.0F)}).ok());
+  const auto sound = LoadLayers(folder.path());
+  EXPECT_TRUE(sound.ok()) << sound.status().message();
+  const std::string whole = ReadText(folder / "layers.json");
+  for (const auto& [member, other] : {std::pair("columns", "0"),
+                                      {"columns", "6"},
+                                      {"cell_px", "0"},
+                                      {"cell_px", "1"},
+                                      {"width", "0"},
+                                      {"channels", "1"},
+                                      {"nodes", "[0.1]"},
+                                      {"nodes", "[0.0, 0.1, 0.2, 0.3, 0.4, -0.5]"},
+                                      {"columns", "-3"}}) {
+    nlohmann::json json = nlohmann::json::parse(whole);
+    json["surface"]["gloss"][member] = nlohmann::json::parse(other);
+    WriteText(folder / "layers.json", json.dump());
+    const auto read = LoadLayers(folder.path());
+    EXPECT_EQ(read.status().code(), StatusCode::kIntegrity) << member << " " << other;
+  }
+}
+
 // What an older program would read as another surface it must not read at all.
 TEST(SavedFit, OfANewerSchemaIsRefused) {
   const ScratchFolder folder;
