@@ -15,8 +15,9 @@ constexpr size_t kFewestOfCycle = 300;  // of a cycle that is judged
 constexpr size_t kFewestInCell = 30;    // of a cell that a plane is laid through
 constexpr int kFewestFar = 8;           // frames
 constexpr double kClip = 4.0;           // standard deviations; edges and shadows must not speak for all
-constexpr double kBeyondOthers = 4.5;   // standard deviations of the frames' own unevenness
-constexpr double kBeyondNoise = 5.0;    // standard deviations; a session asks hundreds of lines
+constexpr float kLeastLevel = -0.5F, kMostLevel = 1.5F;  // of a probe's white; beyond lies another's light, or noise
+constexpr double kBeyondOthers = 4.5;                    // standard deviations of the frames' own unevenness
+constexpr double kBeyondNoise = 5.0;                     // standard deviations; a session asks hundreds of lines
 
 // From the frame in which the line passes to `frame`: onwards, and the short way round.
 int Ahead(int frame, int passed_in, int frames) { return (frame - passed_in + frames) % frames; }
@@ -194,13 +195,16 @@ Fit FitStretch(const std::vector<const Excess*>& probes, const MotionOptions& op
 
 }  // namespace
 
-std::vector<double> FrameGains(const CombCycle& cycle) {
-  const std::vector<size_t> known = KnownProbes(cycle);
+std::vector<double> FrameGains(const CombCycle& as_seen) {
+  const std::vector<size_t> known = KnownProbes(as_seen);
   if (known.size() < kFewestOfCycle) return {};
+  CombCycle cycle = as_seen;
+  for (auto& levels : cycle.level)
+    for (float& level : levels) level = std::clamp(level, kLeastLevel, kMostLevel);
   // The lamp scales all of a frame's light alike, but what a probe has under the line itself depends on its skin and on
   // where in the line's step it lies: least squares, by how far probes agree at each distance. They differ by a share
-  // of their own white, by far more than their photons' noise, so each counts alike: by contrast, six highlights on
-  // dark skin, ten times as bright as all else, had spoken for a line's three hundred probes.
+  // of their own white more than by their photons' noise, so each counts alike: by contrast, six highlights on dark
+  // skin, ten times as bright as all else, had spoken for a line's three hundred probes.
   const std::vector<float> alike(cycle.passed_in.size(), 1.0F);
   const Passage passage = MeanPassage(cycle, known, alike);
   std::vector<double> weight;

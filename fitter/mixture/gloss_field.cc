@@ -9,7 +9,7 @@
 namespace stratalux::fit {
 namespace {
 
-// Of a cell's profiles, all lights together: what (2) leaves is common to neighbours.
+// The most that a cell's profiles count for, all lights together: what (2) leaves is common to neighbours.
 constexpr double kOfACell = 10.0;
 // Of squared differences between neighbouring nodes.
 constexpr double kTogether = 5.0;
@@ -102,7 +102,7 @@ void SolveGloss(std::span<const GlossWitness> witnesses, GlossField& field) {
     const auto corners = CornersOf(field, w.profile);
     double near = 0.0;
     for (const auto& [node, share] : corners) near += share * profiles[static_cast<size_t>(node)];
-    const double weight = kOfACell / std::max(near, 1.0);
+    const double weight = std::min(1.0, kOfACell / near);
     for (const auto& [node, share] : corners) {
       right[node] += weight * share * w.along;
       for (const auto& [other, of_other] : corners)

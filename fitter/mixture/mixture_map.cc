@@ -28,6 +28,7 @@ MixtureMap ProfilesOf(const MixtureMap& map, std::span<const int64_t> which) {
   copy(&MixtureMap::iterations, 1);
   copy(&MixtureMap::reason, 1);
   part.place.clear();
+  part.place.reserve(which.size());
   for (size_t k = 0; k < which.size(); ++k) part.place.push_back(map.PlaceOf(std::max<int64_t>(which[k], 0)));
   for (size_t k = 0; k < which.size(); ++k)
     if (which[k] < 0) part.reason[k] = static_cast<uint8_t>(FitReason::kOutsideMask);

@@ -64,6 +64,7 @@ SrdBatch ProfilesOf(const SrdBatch& batch, std::span<const int64_t> which) {
     copy(field);
   copy(&SrdBatch::valid);
   copy(&SrdBatch::apart);
+  part.place.reserve(which.size());
   for (const int64_t i : which) part.place.push_back(batch.PlaceOf(i));
   std::vector<uint8_t> has_row(which.size(), 1);
   for (size_t k = 0; k < which.size() && !batch.row.empty(); ++k)

@@ -148,8 +148,8 @@ struct CurveResiduals {
   bool operator()(const T* tau, const T* narrow, const T* curve, const T* by_gloss, T* residuals) const {
     const auto reflected = [&](size_t p) -> T {
       const CurvedProfile::Known& at = profile->known[p];
-      return at.ggx * (OnCurve(curve, at.nodes) + profile->gloss * OnCurve(by_gloss, at.nodes)) +
-             at.hairs * curve[kTilts];
+      const T over = OnCurve(curve, at.nodes) + profile->gloss * OnCurve(by_gloss, at.nodes);
+      return at.hairs * curve[kTilts] + (over > 0.0 ? at.ggx * over : T(0.0));
     };
     ProfileResiduals(profile->lights, *tau, *narrow, reflected, residuals);
     return true;
@@ -291,7 +291,7 @@ class CurveFit {
     curve_.fill(1.0);
     curve_[kTilts] = 0.0;
     ForEachSampled(lights, channels, one_in, eta, kLeastCosOfCurve, [&](int64_t profile, std::vector<Shown> shown) {
-      profiles_.emplace_back(profile, std::move(shown), ggx, eta);
+      profiles_.emplace_back(lights[0]->PlaceOf(profile), std::move(shown), ggx, eta);
     });
     for (const CurvedProfile& profile : profiles_)
       problem_.AddResidualBlock(

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <span>
 #include <vector>
 
@@ -10,6 +11,7 @@
 #include "fitter/srd/code_displacement.h"
 #include "fitter/stages/stage_json.h"
 #include "shared/base/formatted.h"
+#include "shared/base/parallel.h"
 
 namespace stratalux::fit {
 namespace {
@@ -40,27 +42,36 @@ std::vector<float> Pooled(const Image<float>& map, int pool) {
   return means;
 }
 
-// Reflectance of what scattered, by pixel: the mean over colours and `lights` that show it; NaN where none does.
+// Reflectance of what scattered, by pixel: the mean over colours and the `lights` that reach it; the face's own mean
+// where none does. 0 where the whole face tells nothing.
 std::vector<double> ScatteredReflectance(std::span<const SrdBatch* const> lights, const ScatteringModel& model,
                                          int channels) {
-  std::vector<double> means;
-  const int64_t profiles = lights[0]->profiles();
-  for (int64_t first = 0; first < profiles; first += channels) {
-    double sum = 0.0, count = 0.0;
-    for (int64_t i = first; i < first + channels; ++i)
-      for (const SrdBatch* light : lights) {
-        const double white = light->Shares(i) ? WhiteReflectanceOf(*light, i).value : 0.0;
-        if (!(white > 0.0)) continue;
-        sum += white - HeldReflection(model.reflection, *light, i, model.eta);
-        count += 1.0;
-      }
-    means.push_back(sum / count);
-  }
+  const int64_t pixels = lights[0]->profiles() / channels;
+  std::vector<double> means(static_cast<size_t>(pixels), 0.0);
+  ParallelFor(pixels, 4096, [&](int64_t begin, int64_t end) {
+    for (int64_t pixel = begin; pixel < end; ++pixel) {
+      double sum = 0.0, count = 0.0;
+      for (int64_t i = pixel * channels; i < (pixel + 1) * channels; ++i)
+        for (const SrdBatch* light : lights) {
+          const double white =
+              light->valid[static_cast<size_t>(i)] != 0 ? WhiteReflectanceOf(*light, i).value : std::nan("");
+          if (!std::isfinite(white)) continue;
+          sum += white - HeldReflection(model.reflection, *light, i, model.eta);
+          count += 1.0;
+        }
+      if (sum > 0.0) means[static_cast<size_t>(pixel)] = sum / count;
+    }
+  });
+  const auto told = std::ranges::count_if(means, [](double mean) { return mean > 0.0; });
+  const double of_face =
+      std::accumulate(means.begin(), means.end(), 0.0) / static_cast<double>(std::max<int64_t>(told, 1));
+  for (double& mean : means)
+    if (!(mean > 0.0)) mean = of_face;
   return means;
 }
 
-// Of the light that a projector's codes are read in, the share that scattered: by projector, on quads; 1 where no light
-// of `lights`, or no reflection, tells.
+// Of the light that a projector's codes are read in, the share that scattered: by projector, on quads; 1 where no
+// reflection is known.
 std::vector<Image<float>> ScatteredShares(std::span<const SrdBatch* const> lights, const SrdSet& srds,
                                           const FaceShape& shape, const ScatteringModel& model) {
   const SurfaceMap& surface = shape.surface;
@@ -68,23 +79,26 @@ std::vector<Image<float>> ScatteredShares(std::span<const SrdBatch* const> light
                                    Image<float>(surface.width(), surface.height(), 1, 1.0F));
   if (!model.reflection.Known()) return shares;
   const std::vector<double> scattered = ScatteredReflectance(lights, model, srds.channels);
-  for (int j = 0; j < surface.height(); ++j)
-    for (int i = 0; i < surface.width(); ++i) {
-      const int x = i / srds.pool, y = j / srds.pool;
-      if (surface.mask(i, j) == 0 || x >= srds.width || y >= srds.height) continue;
-      const int64_t pixel = int64_t{y} * srds.width + x;
-      const double subsurface = scattered[static_cast<size_t>(pixel)];
-      if (!(subsurface > 0.0)) continue;
-      const Eigen::Vector3d point = surface.Point(i, j);
-      for (size_t p = 0; p < shares.size(); ++p) {
-        const auto angles =
-            ReflectionAngles::Between((shape.record.projectors[p].CentreInCamera() - point).normalized(),
-                                      -point.normalized(), surface.Normal(i, j));
-        const double mirrored =
-            ReflectanceOf(model.reflection, angles, model.eta, model.reflection.gloss.At(pixel * srds.channels));
-        shares[p](i, j) = static_cast<float>(subsurface / (subsurface + mirrored));
+  ParallelFor(surface.height(), 8, [&](int64_t begin, int64_t end) {
+    for (int j = static_cast<int>(begin); j < end; ++j)
+      for (int i = 0; i < surface.width(); ++i) {
+        if (surface.mask(i, j) == 0) continue;
+        // Quads beyond the last whole pool are as the last one.
+        const int64_t pixel =
+            int64_t{std::min(j / srds.pool, srds.height - 1)} * srds.width + std::min(i / srds.pool, srds.width - 1);
+        const double subsurface = scattered[static_cast<size_t>(pixel)];
+        if (!(subsurface > 0.0)) continue;
+        const Eigen::Vector3d point = surface.Point(i, j);
+        const double gloss = model.reflection.gloss.At(pixel * srds.channels);
+        for (size_t p = 0; p < shares.size(); ++p) {
+          const Eigen::Vector3d to_lamp = (shape.record.projectors[p].CentreInCamera() - point).normalized();
+          const double mirrored = ReflectanceOf(
+              model.reflection, ReflectionAngles::Between(to_lamp, -point.normalized(), surface.Normal(i, j)),
+              model.eta, gloss);
+          shares[p](i, j) = static_cast<float>(subsurface / (subsurface + mirrored));
+        }
       }
-    }
+  });
   return shares;
 }
 

@@ -15,7 +15,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kOffsetVersion = 7, kPlacedShapeVersion = 6;
+inline constexpr int kOffsetVersion = 8, kPlacedShapeVersion = 6;
 
 struct FaceOffset {
   SurfaceOffset found;

@@ -163,7 +163,7 @@ SrdBatch OnShape(const SrdBatch& batch, std::vector<int64_t> profiles) {
       profiles[i] = static_cast<int64_t>(i);
     }
   SrdBatch carried = ProfilesOf(batch, profiles);
-  carried.place.clear();  // these are the whole map
+  carried.place = {};  // these are the whole map
   for (size_t i = 0; i < profiles.size(); ++i)
     if (from_nowhere[i] != 0) carried.valid[i] = 0;
   carried.KeepValidRows();

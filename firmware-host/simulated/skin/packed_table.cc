@@ -17,7 +17,7 @@ namespace stratalux::rig {
 namespace {
 
 constexpr size_t kMagicBytes = 8;             // with the version
-constexpr uint64_t kMostCodes = 1ULL << 31U;  // no table is a tenth of it
+constexpr uint64_t kMostCodes = 1ULL << 26U;  // twice the largest grid's
 
 // Low bytes, then high bytes, of numbers that are small whatever their sign was.
 std::vector<uint8_t> PlanesOf(const std::vector<uint16_t>& differences) {
@@ -40,6 +40,12 @@ std::vector<uint16_t> DifferencesOf(const std::vector<uint8_t>& planes) {
   return differences;
 }
 
+std::string Remedy(const PackedTableKind& kind) { return " (make one with " + std::string(kind.generate) + ")"; }
+
+Status Damaged(const std::string& path, const PackedTableKind& kind, const std::string& how) {
+  return Status::Integrity(std::string(kind.name) + " " + path + ": " + how + Remedy(kind));
+}
+
 }  // namespace
 
 Status WritePackedTable(const std::string& path, const PackedTableKind& kind, const PackedTable& table, int level) {
@@ -60,21 +66,21 @@ Status WritePackedTable(const std::string& path, const PackedTableKind& kind, co
 }
 
 Status OfAnotherGrid(const std::string& path, const PackedTableKind& kind) {
-  return Status::Integrity(std::string(kind.name) + " " + path + ": truncated, or of another grid");
+  return Damaged(path, kind, "truncated, or of another grid");
 }
 
 Result<PackedTable> ReadPackedTable(const std::string& path, const PackedTableKind& kind) {
   const std::string table_of = std::string(kind.name) + " " + path, what = table_of + ": ";
-  const std::string remedy = " (make one with `" + std::string(kind.generate) + "`)";
   std::ifstream in(path, std::ios::binary);
-  if (!in) return Status::NotFound(what + std::strerror(errno) + remedy);
+  if (!in) return Status::NotFound(what + std::strerror(errno) + Remedy(kind));
   const std::vector<char> bytes((std::istreambuf_iterator<char>(in)), std::istreambuf_iterator<char>());
   if (bytes.size() < kMagicBytes || std::string_view(bytes.data(), kMagicBytes - 1) != kind.magic)
-    return Status::Integrity(what + "not a " + std::string(kind.name));
+    return Damaged(path, kind, "not a " + std::string(kind.name));
   const char version = bytes[kMagicBytes - 1];
+  if (version < '1' || version > '9') return Damaged(path, kind, "not a " + std::string(kind.name));
   const std::string versions = what + "version " + version + ", this program reads " + kind.version;
   if (version > kind.version) return Status(StatusCode::kNewerSchema, versions);
-  if (version < kind.version) return Status::Usage(versions + remedy);
+  if (version < kind.version) return Status::Usage(versions + Remedy(kind));
   uint64_t header[5] = {};
   constexpr size_t kBegin = kMagicBytes + sizeof header;
   const Status cut = OfAnotherGrid(path, kind);
@@ -87,7 +93,7 @@ Result<PackedTable> ReadPackedTable(const std::string& path, const PackedTableKi
   const size_t axis = scatterings * sizeof(double);
   if (kBegin + axis + manifest_bytes + packed_bytes != bytes.size()) return cut;
   const char* body = bytes.data() + kBegin;
-  if (XXH3_64bits(body, bytes.size() - kBegin) != hash) return Status::Integrity(what + "hash mismatch");
+  if (XXH3_64bits(body, bytes.size() - kBegin) != hash) return Damaged(path, kind, "hash mismatch");
   PackedTable table;
   table.scatterings.resize(scatterings);
   if (axis > 0) {
@@ -99,7 +105,7 @@ Result<PackedTable> ReadPackedTable(const std::string& path, const PackedTableKi
   if (count > kMostCodes || ZSTD_getFrameContentSize(packed, packed_bytes) != 2 * count) return cut;
   std::vector<uint8_t> planes(2 * count);
   if (ZSTD_decompress(planes.data(), planes.size(), packed, packed_bytes) != planes.size())
-    return Status::Integrity(what + "cannot be decompressed");
+    return Damaged(path, kind, "cannot be decompressed");
   table.differences = DifferencesOf(planes);
   return table;
 }

@@ -19,7 +19,7 @@ struct PackedTableKind {
   std::string_view name;      // "skin table"
   std::string_view magic;     // seven characters
   char version = '1';         // the one that is read and written
-  std::string_view generate;  // the command that makes one
+  std::string_view generate;  // what makes one, for messages
 };
 
 struct PackedTable {

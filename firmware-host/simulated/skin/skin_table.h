@@ -116,7 +116,7 @@ struct SkinTableRun {
 // Copies share what was read.
 class SkinTable {
  public:
-  // kNotFound, kIntegrity (not a table, damaged), kNewerSchema. The table read last is kept: as long as the file is the
+  // As ReadPackedTable. The table read last is kept: as long as the file is the
   // same, it is not read again.
   static Result<SkinTable> Load(const std::string& path);
   // The shipped tables' files.

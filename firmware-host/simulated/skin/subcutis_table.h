@@ -43,7 +43,7 @@ struct SubcutisGrid {
 class SubcutisTable {
  public:
   static constexpr const char* kFile = "subcutis_table.bin";
-  // kNotFound, kIntegrity (not such a table, damaged), kNewerSchema.
+  // As ReadPackedTable (packed_table.h).
   static Result<SubcutisTable> Load(const std::string& path);
   Status Save(const std::string& path) const;
   // As SkinTable::DefaultPath().

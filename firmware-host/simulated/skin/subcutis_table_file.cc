@@ -10,7 +10,7 @@ namespace stratalux::rig {
 namespace {
 
 constexpr PackedTableKind kSubcutisKind = {"table of other subcutis", "SLXSUBC", '1',
-                                           "stratalux-skin-table generate --subcutis"};
+                                           "`stratalux-skin-table generate --subcutis`"};
 constexpr int kPackedLevel = 19;
 constexpr size_t kNodeCodes = size_t{SubcutisGrid::kKinds} * SubcutisGrid::kKindCodes;
 

@@ -150,6 +150,27 @@ TEST(Blinks, AreNotWhatAFewHighlightsOnDarkSkinDo) {
   EXPECT_GE(found, 19);
 }
 
+// A highlight of 1,000 on probes of 60 is sixteen times their white.
+TEST(Blinks, AreNotTheHighlightThatMovesOntoADimProbe) {
+  std::vector<double> steady(kFrames, 1.0), blinking = steady;
+  blinking[13] = 0.75;
+  int found = 0;
+  for (uint64_t seed = 1; seed <= 20; ++seed) {
+    const auto lit = [seed](const std::vector<double>& lamp) {
+      CombCycle cycle = Highlit(lamp, seed);
+      for (const int line : {5, 20}) {  // of its row and line
+        cycle.level[line][40 * kFrames + line] = 16.0F;
+        cycle.level[(line + 9) % kFrames][60 * kFrames + line] = 16.0F;
+      }
+      return cycle;
+    };
+    EXPECT_TRUE(FindBlinks(FrameGains(lit(steady)), 0.15).empty()) << seed;
+    const std::vector<Blink> blinks = FindBlinks(FrameGains(lit(blinking)), 0.15);
+    found += blinks.size() == 1 && blinks[0].frame == 13;
+  }
+  EXPECT_GE(found, 19);
+}
+
 TEST(Blinks, AreFoundAtAnyPlaceOfTheCycleAndNotInUnevenLight) {
   // As a large camera's combs on a face: a few per cent from frame to frame, two neighbours often to opposite sides.
   int found = 0, false_ones = 0, cycles = 0;

@@ -124,15 +124,16 @@ struct Sphere {
         if (x * x + y * y > 0.8) continue;
         for (int c = 0; c < 3; ++c)
           AddProfile({x, y, std::sqrt(1.0 - x * x - y * y)}, lamps[p], c, albedo[3 * k + c], random, lights[p]);
-        for (int c = 0; c < 3; ++c) lights[p].place.push_back(3 * k + c);
+        for (int c = 0; c < 3; ++c)
+          lights[p].place.push_back(3 * ((k / kSide + kMargin) * kWidth + k % kSide + kMargin) + c);
       }
     return lights;
   }
-  static ProfileGrid Grid() { return {kSide, kSide, 3, 2.0}; }
+  static ProfileGrid Grid() { return {kWidth, kWidth, 3, 2.0}; }
   // A profile that shows the sphere there.
   static int64_t PlaceOf(const Eigen::Vector3d& normal) {
     const auto at = [](double x) { return static_cast<int64_t>((x + 0.8) / 1.6 * kSide); };
-    return 3 * (at(normal.y()) * kSide + at(normal.x()));
+    return 3 * ((at(normal.y()) + kMargin) * kWidth + at(normal.x()) + kMargin);
   }
 
   [[nodiscard]] double Reflected(const ReflectionAngles& angles, const Eigen::Vector3d& normal) const {
@@ -142,7 +143,7 @@ struct Sphere {
   inline static const Eigen::Vector3d kOily = Eigen::Vector3d(0.1, 0.25, 1.0).normalized();
 
  private:
-  static constexpr int kSide = 40;
+  static constexpr int kSide = 40, kMargin = 13, kWidth = kSide + 2 * kMargin;  // of the map about the sphere
 
   void AddProfile(const Eigen::Vector3d& normal, const Eigen::Vector3d& lamp, int c, double albedo, Random& random,
                   SrdBatch& b) const {

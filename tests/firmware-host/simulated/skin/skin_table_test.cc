@@ -404,10 +404,13 @@ TEST_F(SkinTableFile, WrongVersionIsANewerSchema) {
 }
 
 TEST_F(SkinTableFile, AnOlderVersionIsRefusedWithItsRemedy) {
-  bytes_[7] = '1';
-  const Status status = LoadBytes();
-  EXPECT_EQ(status.code(), StatusCode::kUsage);
-  EXPECT_NE(status.message().find("generate"), std::string::npos) << status.message();
+  for (const char version : {'1', '2'}) {
+    bytes_[7] = version;
+    const Status status = LoadBytes();
+    EXPECT_EQ(status.code(), StatusCode::kUsage);
+    EXPECT_NE(status.message().find("generate"), std::string::npos) << status.message();
+    EXPECT_NE(status.message().find("--wax"), std::string::npos) << status.message();
+  }
 }
 
 TEST_F(SkinTableFile, AFlippedBitIsDamage) {
@@ -417,7 +420,7 @@ TEST_F(SkinTableFile, AFlippedBitIsDamage) {
 
 TEST_F(SkinTableFile, SizesThatOverflowAreDamage) {
   const std::vector<char> whole = bytes_;
-  for (int field = 0; field < 4; ++field) {
+  for (int field = 0; field < 5; ++field) {
     bytes_ = whole;
     for (int k = 0; k < 8; ++k) bytes_[8 + field * 8 + k] = static_cast<char>(0xff);
     EXPECT_EQ(LoadBytes().code(), StatusCode::kIntegrity) << "header field " << field;
@@ -582,6 +585,18 @@ TEST(WaxTable, IsTheMonteCarloOfItsSlab) {
     PlaneIntegral(kernel, &moment);
     EXPECT_LT(moment, 0.0) << "light travels on, away from the lamp";
   }
+}
+
+// What is shipped says of itself what one made anew would.
+TEST(WaxTable, SaysHowItWasMade) {
+  const SkinTable wax = *SkinTable::Load(SkinTable::DefaultWaxPath());
+  Logger quiet(LogLevel::kError);
+  const auto small = GenerateWaxTable({1000, 1, 0}, quiet);
+  ASSERT_TRUE(small.ok()) << small.status().message();
+  EXPECT_TRUE(wax.IsOf({1000000, 1, 0}));
+  std::string as_shipped = small->manifest();
+  as_shipped.replace(as_shipped.find("\"photons_per_run\":1000"), 22, "\"photons_per_run\":1000000");
+  EXPECT_EQ(as_shipped, wax.manifest());
 }
 
 TEST(WaxTable, KnowsNoSkin) {
