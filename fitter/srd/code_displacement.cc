@@ -3,8 +3,11 @@
 
 #include <Eigen/Geometry>
 #include <algorithm>
+#include <cmath>
+#include <numeric>
 
 #include "fitter/mixture/shift_law.h"
+#include "fitter/mixture/surface_reflection.h"
 #include "shared/base/parallel.h"
 
 namespace stratalux::fit {
@@ -55,7 +58,64 @@ double DisplacementAt(const Eigen::Vector3d& point, const Eigen::Vector3d& norma
   return of_depth > 0.0 ? of_codes / of_depth : 0.0;
 }
 
+// Reflectance of what scattered, by pixel: the mean over colours and the `lights` that reach it; the face's own mean
+// where none does. 0 where the whole face tells nothing.
+std::vector<double> ScatteredReflectance(std::span<const SrdBatch* const> lights, const ScatteringModel& model,
+                                         int channels) {
+  const int64_t pixels = lights[0]->profiles() / channels;
+  std::vector<double> means(static_cast<size_t>(pixels), 0.0);
+  ParallelFor(pixels, 4096, [&](int64_t begin, int64_t end) {
+    for (int64_t pixel = begin; pixel < end; ++pixel) {
+      double sum = 0.0, count = 0.0;
+      for (int64_t i = pixel * channels; i < (pixel + 1) * channels; ++i)
+        for (const SrdBatch* light : lights) {
+          const double white =
+              light->valid[static_cast<size_t>(i)] != 0 ? WhiteReflectanceOf(*light, i).value : std::nan("");
+          if (!std::isfinite(white)) continue;
+          sum += white - HeldReflection(model.reflection, *light, i, model.eta);
+          count += 1.0;
+        }
+      if (sum > 0.0) means[static_cast<size_t>(pixel)] = sum / count;
+    }
+  });
+  const auto told = std::ranges::count_if(means, [](double mean) { return mean > 0.0; });
+  const double of_face =
+      std::accumulate(means.begin(), means.end(), 0.0) / static_cast<double>(std::max<int64_t>(told, 1));
+  for (double& mean : means)
+    if (!(mean > 0.0)) mean = of_face;
+  return means;
+}
+
 }  // namespace
+
+std::vector<Image<float>> ScatteredShares(std::span<const SrdBatch* const> lights, const ProfileGrid& grid, int pool,
+                                          const SurfaceMap& surface, const RigCalibration& rig,
+                                          const ScatteringModel& model) {
+  std::vector<Image<float>> shares(rig.projectors.size(), Image<float>(surface.width(), surface.height(), 1, 1.0F));
+  if (!model.reflection.Known()) return shares;
+  const std::vector<double> scattered = ScatteredReflectance(lights, model, grid.channels);
+  ParallelFor(surface.height(), 8, [&](int64_t begin, int64_t end) {
+    for (int j = static_cast<int>(begin); j < end; ++j)
+      for (int i = 0; i < surface.width(); ++i) {
+        if (surface.mask(i, j) == 0) continue;
+        // Quads beyond the last whole pool are as the last one.
+        const int64_t pixel =
+            int64_t{std::min(j / pool, grid.height - 1)} * grid.width + std::min(i / pool, grid.width - 1);
+        const double subsurface = scattered[static_cast<size_t>(pixel)];
+        if (!(subsurface > 0.0)) continue;
+        const Eigen::Vector3d point = surface.Point(i, j);
+        const double gloss = model.reflection.gloss.At(pixel * grid.channels);
+        for (size_t p = 0; p < shares.size(); ++p) {
+          const Eigen::Vector3d to_lamp = (rig.projectors[p].CentreInCamera() - point).normalized();
+          const double mirrored = ReflectanceOf(
+              model.reflection, ReflectionAngles::Between(to_lamp, -point.normalized(), surface.Normal(i, j)),
+              model.eta, gloss);
+          shares[p](i, j) = static_cast<float>(subsurface / (subsurface + mirrored));
+        }
+      }
+  });
+  return shares;
+}
 
 Image<float> CodeDisplacement(const SurfaceMap& surface, const std::vector<Image<float>>& coded,
                               const std::vector<Image<float>>& scattered, const RigCalibration& rig,

@@ -3,15 +3,12 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numeric>
-#include <span>
 #include <vector>
 
 #include "fitter/export/exr_file.h"
 #include "fitter/srd/code_displacement.h"
 #include "fitter/stages/stage_json.h"
 #include "shared/base/formatted.h"
-#include "shared/base/parallel.h"
 
 namespace stratalux::fit {
 namespace {
@@ -42,66 +39,6 @@ std::vector<float> Pooled(const Image<float>& map, int pool) {
   return means;
 }
 
-// Reflectance of what scattered, by pixel: the mean over colours and the `lights` that reach it; the face's own mean
-// where none does. 0 where the whole face tells nothing.
-std::vector<double> ScatteredReflectance(std::span<const SrdBatch* const> lights, const ScatteringModel& model,
-                                         int channels) {
-  const int64_t pixels = lights[0]->profiles() / channels;
-  std::vector<double> means(static_cast<size_t>(pixels), 0.0);
-  ParallelFor(pixels, 4096, [&](int64_t begin, int64_t end) {
-    for (int64_t pixel = begin; pixel < end; ++pixel) {
-      double sum = 0.0, count = 0.0;
-      for (int64_t i = pixel * channels; i < (pixel + 1) * channels; ++i)
-        for (const SrdBatch* light : lights) {
-          const double white =
-              light->valid[static_cast<size_t>(i)] != 0 ? WhiteReflectanceOf(*light, i).value : std::nan("");
-          if (!std::isfinite(white)) continue;
-          sum += white - HeldReflection(model.reflection, *light, i, model.eta);
-          count += 1.0;
-        }
-      if (sum > 0.0) means[static_cast<size_t>(pixel)] = sum / count;
-    }
-  });
-  const auto told = std::ranges::count_if(means, [](double mean) { return mean > 0.0; });
-  const double of_face =
-      std::accumulate(means.begin(), means.end(), 0.0) / static_cast<double>(std::max<int64_t>(told, 1));
-  for (double& mean : means)
-    if (!(mean > 0.0)) mean = of_face;
-  return means;
-}
-
-// Of the light that a projector's codes are read in, the share that scattered: by projector, on quads; 1 where no
-// reflection is known.
-std::vector<Image<float>> ScatteredShares(std::span<const SrdBatch* const> lights, const SrdSet& srds,
-                                          const FaceShape& shape, const ScatteringModel& model) {
-  const SurfaceMap& surface = shape.surface;
-  std::vector<Image<float>> shares(shape.record.projectors.size(),
-                                   Image<float>(surface.width(), surface.height(), 1, 1.0F));
-  if (!model.reflection.Known()) return shares;
-  const std::vector<double> scattered = ScatteredReflectance(lights, model, srds.channels);
-  ParallelFor(surface.height(), 8, [&](int64_t begin, int64_t end) {
-    for (int j = static_cast<int>(begin); j < end; ++j)
-      for (int i = 0; i < surface.width(); ++i) {
-        if (surface.mask(i, j) == 0) continue;
-        // Quads beyond the last whole pool are as the last one.
-        const int64_t pixel =
-            int64_t{std::min(j / srds.pool, srds.height - 1)} * srds.width + std::min(i / srds.pool, srds.width - 1);
-        const double subsurface = scattered[static_cast<size_t>(pixel)];
-        if (!(subsurface > 0.0)) continue;
-        const Eigen::Vector3d point = surface.Point(i, j);
-        const double gloss = model.reflection.gloss.At(pixel * srds.channels);
-        for (size_t p = 0; p < shares.size(); ++p) {
-          const Eigen::Vector3d to_lamp = (shape.record.projectors[p].CentreInCamera() - point).normalized();
-          const double mirrored = ReflectanceOf(
-              model.reflection, ReflectionAngles::Between(to_lamp, -point.normalized(), surface.Normal(i, j)),
-              model.eta, gloss);
-          shares[p](i, j) = static_cast<float>(subsurface / (subsurface + mirrored));
-        }
-      }
-  });
-  return shares;
-}
-
 }  // namespace
 
 Result<FaceOffset> FindOffset(const SrdSet& srds, const FaceShape& shape, int heldout, const FitOptions& options,
@@ -109,9 +46,10 @@ Result<FaceOffset> FindOffset(const SrdSet& srds, const FaceShape& shape, int he
   SLX_ASSIGN_OR_RETURN(const auto training, TrainingLightsOf(srds, heldout));
   SLX_ASSIGN_OR_RETURN(const EmOptions em, SharedOptions(options, training.batches, srds, shared, logger, label));
   FaceOffset offset;
-  offset.displacement =
-      CodeDisplacement(shape.surface, shape.code_weights, ScatteredShares(training.batches, srds, shape, em.scattering),
-                       shape.record, em.scattering);
+  offset.displacement = CodeDisplacement(
+      shape.surface, shape.code_weights,
+      ScatteredShares(training.batches, srds.Grid(), srds.pool, shape.surface, shape.record, em.scattering),
+      shape.record, em.scattering);
   SLX_ASSIGN_OR_RETURN(offset.found, EstimateOffset(training.batches, training.projectors, srds.width, srds.channels,
                                                     std::max(QuadSpacingMm(shape.surface) * srds.pool, 1e-3),
                                                     Pooled(offset.displacement, srds.pool), em));

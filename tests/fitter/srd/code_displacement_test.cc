@@ -1,11 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/srd/code_displacement.h"
 
+#include <algorithm>
+#include <array>
 #include <cmath>
 #include <numbers>
 
 #include <gtest/gtest.h>
 
+#include "fitter/mixture/surface_reflection.h"
 #include "tests/fitter/srd/plane_scene.h"
 
 namespace stratalux::fit {
@@ -20,6 +23,89 @@ Image<float> DisplacementOf(const RigCalibration& rig, const SurfaceMap& surface
   for (const float weight : coded) weights.emplace_back(surface.width(), surface.height(), 1, weight);
   for (const float share : scattered) shares.emplace_back(surface.width(), surface.height(), 1, share);
   return CodeDisplacement(surface, weights, shares, rig, model);
+}
+
+// White light of projector 0 on a plane, two colours of `scattered` each and what a known surface mirrors, on profiles
+// of `pool` x `pool` quads whose first one stands for all.
+SrdBatch WhiteLight(const RigCalibration& rig, const SurfaceMap& plane, int pool, const ScatteringModel& model,
+                    const std::array<double, 2>& scattered, const GlossField& gloss) {
+  SrdBatch light;
+  light.samples = 3;
+  const int width = plane.width() / pool, height = plane.height() / pool;
+  for (int64_t i = 0; i < int64_t{width} * height * 2; ++i) {
+    const int x = static_cast<int>(i / 2 % width) * pool, y = static_cast<int>(i / 2 / width) * pool;
+    const Eigen::Vector3d point = plane.Point(x, y), normal = plane.Normal(x, y), first = normal.unitOrthogonal(),
+                          second = normal.cross(first), eye = -point.normalized(),
+                          lamp = (rig.projectors[0].CentreInCamera() - point).normalized();
+    const auto slope = [&](const Eigen::Vector3d& w, const Eigen::Vector3d& e) {
+      return static_cast<float>(w.dot(e) / w.dot(normal));
+    };
+    light.slope_in.push_back(slope(lamp, first));
+    light.slope_in_across.push_back(slope(lamp, second));
+    light.slope_out.push_back(slope(eye, first));
+    light.slope_out_across.push_back(slope(eye, second));
+    light.cos_in.push_back(static_cast<float>(lamp.dot(normal)));
+    light.cos_out.push_back(static_cast<float>(eye.dot(normal)));
+    light.step_mm.push_back(1.0F);
+    light.line_width_mm.push_back(1.0F);
+    light.first_u_mm.push_back(0.0F);
+    light.valid.push_back(1);
+    light.noise_floor.push_back(0.0F);
+    light.noise_slope.push_back(0.0F);
+    const double mirrored =
+        ReflectanceOf(model.reflection, ReflectionAngles::Between(lamp, eye, normal), model.eta, gloss.At(i));
+    light.white.push_back(static_cast<float>(scattered[i % 2] + mirrored));
+    light.white_variance.push_back(1e-8F);
+    light.y.insert(light.y.end(), 3, light.white.back() / 3.0F);
+  }
+  return light;
+}
+
+TEST(ScatteredShares, AreWhatWhiteLightShowsBeyondTheSurface) {
+  const RigCalibration rig = SmallRig();
+  const SurfaceMap plane = Plane(rig, 0.2);
+  ScatteringModel model;
+  model.reflection = {1.2, 0.35};
+  model.reflection.by_gloss.fill(0.9);
+  for (const int pool : {1, 2}) {
+    const int width = plane.width() / pool, height = plane.height() / pool;
+    const ProfileGrid grid{width, height, 2, 1.0 * pool};
+    GlossField gloss = FlatGloss(grid);
+    for (size_t k = 0; k < gloss.nodes.size(); ++k) gloss.nodes[k] = 0.2 * static_cast<double>(k % 5);
+    model.reflection.gloss = gloss;
+    SrdBatch light = WhiteLight(rig, plane, pool, model, {0.05, 0.11}, gloss);
+    const int64_t dark = (int64_t{3} * width + 5) * 2, hair = (int64_t{4} * width + 6) * 2;
+    light.valid[dark] = light.valid[dark + 1] = 0;
+    light.apart.assign(light.valid.size(), 0);
+    light.apart[hair] = light.apart[hair + 1] = 1;
+    const SrdBatch* const lights[] = {&light};
+    const auto shares = ScatteredShares(lights, grid, pool, plane, rig, model);
+    ASSERT_EQ(shares.size(), rig.projectors.size());
+    // Lit skin, hair, and what no light reaches; and a quad beyond the last whole pool.
+    for (const auto& [x, y] : {std::pair(7, 9), {17, 4}, {6, 4}, {5, 3}, {width - 1, height - 1}}) {
+      const int i = x * pool, j = y * pool;
+      const Eigen::Vector3d point = plane.Point(i, j);
+      for (size_t p = 0; p < shares.size(); ++p) {
+        const auto angles = ReflectionAngles::Between((rig.projectors[p].CentreInCamera() - point).normalized(),
+                                                      -point.normalized(), plane.Normal(i, j));
+        const double mirrored =
+            ReflectanceOf(model.reflection, angles, model.eta, gloss.At((int64_t{y} * width + x) * 2));
+        EXPECT_GT(mirrored, 0.001);
+        EXPECT_NEAR(shares[p](i, j), 0.08 / (0.08 + mirrored), 2e-4) << x << " " << y << " of pools of " << pool;
+      }
+    }
+    model.reflection = {1.2, 0.35};
+    model.reflection.by_gloss.fill(0.9);
+  }
+}
+
+TEST(ScatteredShares, AreAllOfItWhereNoReflectionIsKnown) {
+  const RigCalibration rig = SmallRig();
+  const SurfaceMap plane = Plane(rig, 0.2);
+  const SrdBatch light = WhiteLight(rig, plane, 1, {}, {0.05, 0.11}, {});
+  const SrdBatch* const lights[] = {&light};
+  for (const Image<float>& share : ScatteredShares(lights, {plane.width(), plane.height(), 2, 1.0}, 1, plane, rig, {}))
+    EXPECT_TRUE(std::ranges::all_of(share.pixels(), [](float of) { return of == 1.0F; }));
 }
 
 TEST(CodeDisplacement, OfStraightRaysIsTheDepthItself) {
