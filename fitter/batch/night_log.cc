@@ -59,8 +59,8 @@ std::string NightMoment(WallNs time) {
   std::tm utc{};
   gmtime_r(&seconds, &utc);
   char text[32];
-  std::strftime(text, sizeof text, "%Y%m%dT%H%M%SZ", &utc);
-  return text;
+  std::strftime(text, sizeof text, "%Y%m%dT%H%M%S", &utc);
+  return Formatted("%s.%03dZ", text, static_cast<int>(time.ns / 1'000'000 % 1000));
 }
 
 std::string ToJson(const NightEvent& event) {

@@ -46,7 +46,7 @@ struct NightEvent {
 // A line of the file. kIntegrity for what is none.
 [[nodiscard]] Result<NightEvent> ParseNightEvent(const std::string& line);
 
-// "20260514T200000Z": how the names of nights begin, so that they sort.
+// "20260514T200000.000Z": how the names of nights begin, so that they sort, those of one second too.
 [[nodiscard]] std::string NightMoment(WallNs time);
 
 class NightLog {

@@ -32,6 +32,15 @@ TEST_F(NightLogTest, ReadsWhatItWrote) {
   EXPECT_EQ(file.st_mode & 07, 0U) << "it names visitors' sessions";
 }
 
+TEST_F(NightLogTest, NightsOfOneSecondStandInTheirOrder) {
+  constexpr int64_t kMoment = 1'800'000'000'123'456'789;
+  EXPECT_EQ(NightMoment({kMoment}), "20270115T080000.123Z");
+  // By the number of a process 9999 would stand behind 10012.
+  for (const std::string& name : {NightMoment({kMoment}) + "-9999", NightMoment({kMoment + 40'000'000}) + "-10012"})
+    ASSERT_TRUE(NightLog::Open(folder_, name).ok());
+  EXPECT_EQ(Nights(folder_), (std::vector<std::string>{"20270115T080000.123Z-9999", "20270115T080000.163Z-10012"}));
+}
+
 TEST_F(NightLogTest, WhatIsDamagedOrOfALaterVersionIsCountedAndTheRestRead) {
   auto log = NightLog::Begin(folder_);
   ASSERT_TRUE(log->Add({.kind = NightEventKind::kStarted, .session = "s1", .attempt = 1}).ok());

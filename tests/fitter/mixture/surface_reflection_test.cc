@@ -261,6 +261,19 @@ TEST(EstimateSurfaceReflection, FindsWhereSkinIsGlossier) {
     EXPECT_LT(found.gloss.At(Sphere::PlaceOf(Eigen::Vector3d(x, -0.4, 0.7))), 0.2 * oily) << x;
 }
 
+// A session finds it once for all surfaces that it places.
+TEST(EstimateSurfaceReflection, IsTheSameWhereverTheSurfaceIsPlaced) {
+  const Sphere skin{.noise = 0.02, .grooved = true, .oily = true};
+  auto lights = skin.Lights(ThreeLamps());
+  const SurfaceReflection before = Estimate(lights, Sphere::Grid());
+  for (SrdBatch& light : lights)
+    for (size_t i = 0; i < light.first_u_mm.size(); ++i) light.first_u_mm[i] += 0.13F * light.slope_in[i];
+  const SurfaceReflection after = Estimate(lights, Sphere::Grid());
+  ASSERT_FALSE(before.gloss.nodes.empty());
+  EXPECT_EQ(after.gloss.nodes, before.gloss.nodes);
+  EXPECT_EQ(after.by_gloss, before.by_gloss);
+}
+
 TEST(HeldReflection, OfAPartOfAMapHasTheGlossOfItsPlaces) {
   const std::vector<SrdBatch> lights = Sphere{}.Lights(ThreeLamps());
   SurfaceReflection glossy{1.0, 0.35};
