@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/pipeline/interruption.h"
 
+#include <chrono>
 #include <csignal>
 #include <mutex>
+#include <optional>
 #include <set>
 #include <thread>
 #include <utility>
@@ -15,6 +17,9 @@
 
 namespace stratalux::fit {
 namespace {
+
+// What tells a program to end may tell it twice: timeout(1) signals the program, then its group.
+constexpr std::chrono::milliseconds kOneRequest{200};
 
 // Never destroyed: the watching thread outlives main.
 struct Registered {
@@ -75,9 +80,14 @@ void RemoveOnInterruption() {
   pthread_sigmask(SIG_BLOCK, &set, nullptr);
   std::thread([set] {
     int signal = 0;
-    do {
+    std::optional<std::chrono::steady_clock::time_point> asked;
+    while (true) {
       if (sigwait(&set, &signal) != 0) return;
-    } while (Asked());
+      const auto now = std::chrono::steady_clock::now();
+      if (asked && now - *asked < kOneRequest) continue;
+      if (!Asked()) break;
+      asked = now;
+    }
     RemoveAll();
     End(signal);
   }).detach();

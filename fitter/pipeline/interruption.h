@@ -18,7 +18,8 @@ void RemoveOnInterruption();
 [[nodiscard]] Status MakeFoldersBelow(const std::filesystem::path& root, const std::filesystem::path& folders);
 
 // While it lives, the first of these signals asks instead of ending the process: what must be put in order first is.
-// The next one ends it. One at a time; needs RemoveOnInterruption().
+// The next one ends it, but for those of the first 0.2 s, which are the same request. One at a time; needs
+// RemoveOnInterruption().
 class InterruptionAsks {
  public:
   InterruptionAsks();
