@@ -31,9 +31,9 @@ struct CombCycle {
 };
 
 // The lamp in each frame: its light over what the whole cycle's mean passage says of the probes that it meets, all of
-// them alike, however bright or dim, none by more than its white, and the distances from the line weighed by how far
-// probes agree there. About 1, and on uneven scenes a few per cent off, the same in each capture. A comb in another's
-// place says nothing of the lamp. Empty where too few probes are known.
+// them alike, however bright or dim, none by more than one and a half of its white, and the distances from the line
+// weighed by how far probes agree there. About 1, and on uneven scenes a few per cent off, the same in each capture. A
+// comb in another's place says nothing of the lamp. Empty where too few probes are known.
 [[nodiscard]] std::vector<double> FrameGains(const CombCycle& cycle);
 
 // Frames whose light differs from the middle of the seven about them (themselves among them; at an end of the cycle

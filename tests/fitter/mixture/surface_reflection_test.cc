@@ -16,6 +16,7 @@
 #include "fitter/mixture/shift_law.h"
 #include "shared/base/random.h"
 #include "shared/units/angle.h"
+#include "tests/fitter/mixture/profile_directions.h"
 
 namespace stratalux::fit {
 namespace {
@@ -147,18 +148,9 @@ struct Sphere {
 
   void AddProfile(const Eigen::Vector3d& normal, const Eigen::Vector3d& lamp, int c, double albedo, Random& random,
                   SrdBatch& b) const {
-    const Eigen::Vector3d along = Eigen::Vector3d::UnitY().cross(normal).normalized(), across = normal.cross(along);
     const Eigen::Vector3d eye = Eigen::Vector3d::UnitZ();
-    const auto slope = [&](const Eigen::Vector3d& w, const Eigen::Vector3d& e) {
-      return static_cast<float>(w.dot(e) / std::max(normal.dot(w), 1e-3));
-    };
     b.samples = 3;
-    b.slope_in.push_back(slope(lamp, along));
-    b.slope_in_across.push_back(slope(lamp, across));
-    b.slope_out.push_back(slope(eye, along));
-    b.slope_out_across.push_back(slope(eye, across));
-    b.cos_in.push_back(static_cast<float>(normal.dot(lamp)));
-    b.cos_out.push_back(static_cast<float>(normal.dot(eye)));
+    test::AddDirections(lamp, eye, normal, Eigen::Vector3d::UnitY().cross(normal).normalized(), b);
     b.step_mm.push_back(0.5F);
     b.line_width_mm.push_back(1.0F);  // a cycle adds up to two whites
     b.first_u_mm.push_back(0.0F);

@@ -9,6 +9,7 @@
 #include <gtest/gtest.h>
 
 #include "fitter/mixture/surface_reflection.h"
+#include "tests/fitter/mixture/profile_directions.h"
 #include "tests/fitter/srd/plane_scene.h"
 
 namespace stratalux::fit {
@@ -34,18 +35,9 @@ SrdBatch WhiteLight(const RigCalibration& rig, const SurfaceMap& plane, int pool
   const int width = plane.width() / pool, height = plane.height() / pool;
   for (int64_t i = 0; i < int64_t{width} * height * 2; ++i) {
     const int x = static_cast<int>(i / 2 % width) * pool, y = static_cast<int>(i / 2 / width) * pool;
-    const Eigen::Vector3d point = plane.Point(x, y), normal = plane.Normal(x, y), first = normal.unitOrthogonal(),
-                          second = normal.cross(first), eye = -point.normalized(),
+    const Eigen::Vector3d point = plane.Point(x, y), normal = plane.Normal(x, y), eye = -point.normalized(),
                           lamp = (rig.projectors[0].CentreInCamera() - point).normalized();
-    const auto slope = [&](const Eigen::Vector3d& w, const Eigen::Vector3d& e) {
-      return static_cast<float>(w.dot(e) / w.dot(normal));
-    };
-    light.slope_in.push_back(slope(lamp, first));
-    light.slope_in_across.push_back(slope(lamp, second));
-    light.slope_out.push_back(slope(eye, first));
-    light.slope_out_across.push_back(slope(eye, second));
-    light.cos_in.push_back(static_cast<float>(lamp.dot(normal)));
-    light.cos_out.push_back(static_cast<float>(eye.dot(normal)));
+    test::AddDirections(lamp, eye, normal, normal.unitOrthogonal(), light);
     light.step_mm.push_back(1.0F);
     light.line_width_mm.push_back(1.0F);
     light.first_u_mm.push_back(0.0F);
@@ -67,7 +59,7 @@ TEST(ScatteredShares, AreWhatWhiteLightShowsBeyondTheSurface) {
   ScatteringModel model;
   model.reflection = {1.2, 0.35};
   model.reflection.by_gloss.fill(0.9);
-  for (const int pool : {1, 2}) {
+  for (const int pool : {1, 2, 3}) {
     const int width = plane.width() / pool, height = plane.height() / pool;
     const ProfileGrid grid{width, height, 2, 1.0 * pool};
     GlossField gloss = FlatGloss(grid);
@@ -82,8 +74,12 @@ TEST(ScatteredShares, AreWhatWhiteLightShowsBeyondTheSurface) {
     const auto shares = ScatteredShares(lights, grid, pool, plane, rig, model);
     ASSERT_EQ(shares.size(), rig.projectors.size());
     // Lit skin, hair, and what no light reaches; and a quad beyond the last whole pool.
-    for (const auto& [x, y] : {std::pair(7, 9), {17, 4}, {6, 4}, {5, 3}, {width - 1, height - 1}}) {
-      const int i = x * pool, j = y * pool;
+    for (const auto& [i, j] : {std::pair(7 * pool, 9 * pool),
+                               {14 * pool, 4 * pool},
+                               {6 * pool, 4 * pool},
+                               {5 * pool, 3 * pool},
+                               {plane.width() - 1, plane.height() - 1}}) {
+      const int x = std::min(i / pool, width - 1), y = std::min(j / pool, height - 1);
       const Eigen::Vector3d point = plane.Point(i, j);
       for (size_t p = 0; p < shares.size(); ++p) {
         const auto angles = ReflectionAngles::Between((rig.projectors[p].CentreInCamera() - point).normalized(),
@@ -94,8 +90,6 @@ TEST(ScatteredShares, AreWhatWhiteLightShowsBeyondTheSurface) {
         EXPECT_NEAR(shares[p](i, j), 0.08 / (0.08 + mirrored), 2e-4) << x << " " << y << " of pools of " << pool;
       }
     }
-    model.reflection = {1.2, 0.35};
-    model.reflection.by_gloss.fill(0.9);
   }
 }
 
