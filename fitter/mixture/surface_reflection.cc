@@ -41,16 +41,23 @@ constexpr int64_t kLeastProfiles = 100;
 constexpr int64_t kMostPixels = 6000;
 constexpr double kClearly = 0.5, kTold = 0.5;  // a strength that much off must cost a standard deviation
 
-// pi f_r of strength 1; T: double, or Ceres' own for its derivatives.
+// How many facets GGX tilts so far, times pi; T: double, or Ceres' own for its derivatives.
+template <typename T>
+T GgxTilts(const T& roughness, double cos2_tilt) {
+  const T a2 = roughness * roughness, lobe = cos2_tilt * (a2 - 1.0) + 1.0;
+  return a2 / (lobe * lobe);
+}
+
+// pi f_r of strength 1.
 template <typename T>
 T Facets(const T& roughness, const ReflectionAngles& a, double eta) {
   using std::sqrt;
   const T a2 = roughness * roughness;
-  const T lobe = a.normal_half * a.normal_half * (a2 - 1.0) + 1.0;
   const auto smith = [&a2](double c) -> T { return 2.0 * c / (c + sqrt(a2 + (1.0 - a2) * c * c)); };
   const double f0 = std::pow((eta - 1.0) / (eta + 1.0), 2);
   const double fresnel = f0 + (1.0 - f0) * std::pow(1.0 - std::clamp(a.half_in, 0.0, 1.0), 5);
-  return a2 / (lobe * lobe) * smith(a.normal_in) * smith(a.normal_out) * (fresnel / (4.0 * a.normal_in * a.normal_out));
+  return GgxTilts(roughness, a.normal_half * a.normal_half) * smith(a.normal_in) * smith(a.normal_out) *
+         (fresnel / (4.0 * a.normal_in * a.normal_out));
 }
 
 // Where a facet's tilt lies among kFacetTiltsDeg: the share of node `first`, the rest being that of the next.
@@ -271,14 +278,11 @@ std::optional<SurfaceReflection> EstimateGgx(std::span<const SrdBatch* const> li
 
 // Of skin of gloss 1 before the light has told: GGX of facets that lie so much flatter.
 FacetCurve ExpectedByGloss(double roughness) {
-  const auto slopes = [](double alpha, double tilt_deg) {
-    const double cos2 = std::pow(std::cos(RadFromDeg(tilt_deg)), 2), a2 = alpha * alpha;
-    return a2 / std::pow(cos2 * (a2 - 1.0) + 1.0, 2);
-  };
   FacetCurve more{};
-  for (size_t j = 0; j < more.size(); ++j)
-    more[j] =
-        kGlossierBy * (slopes(kGlossier * roughness, kFacetTiltsDeg[j]) / slopes(roughness, kFacetTiltsDeg[j]) - 1.0);
+  for (size_t j = 0; j < more.size(); ++j) {
+    const double cos2 = std::pow(std::cos(RadFromDeg(kFacetTiltsDeg[j])), 2);
+    more[j] = kGlossierBy * (GgxTilts(kGlossier * roughness, cos2) / GgxTilts(roughness, cos2) - 1.0);
+  }
   return more;
 }
 
