@@ -221,10 +221,13 @@ std::vector<Blink> FindBlinks(const std::vector<double>& gain, double tolerance)
     light.push_back(gain[k] / std::max(1e-9, Median({first, first + about})));
     off.push_back(std::abs(light.back() - 1.0));
   }
-  const double limit = std::max(tolerance, kBeyondOthers * kMadToDeviation * Median(off));
   std::vector<Blink> blinks;
-  for (int k = 0; k < static_cast<int>(frames); ++k)
+  for (int k = 0; k < static_cast<int>(frames); ++k) {
+    std::vector<double> others = off;
+    others.erase(others.begin() + k);
+    const double limit = std::max(tolerance, kBeyondOthers * kMadToDeviation * Median(std::move(others)));
     if (off[k] > limit) blinks.push_back({k, light[k], limit});
+  }
   return blinks;
 }
 

@@ -37,8 +37,8 @@ struct CombCycle {
 [[nodiscard]] std::vector<double> FrameGains(const CombCycle& cycle);
 
 // Frames whose light differs from the middle of the seven about them (themselves among them; at an end of the cycle
-// they lie on one side) by more than `tolerance`, and by more than 4.5 standard deviations of what the cycle's frames
-// do anyway: on uneven skin those are a few per cent, and a session asks 256 frames.
+// they lie on one side) by more than `tolerance`, and by more than 4.5 standard deviations of what the cycle's other
+// frames do: on uneven skin those are a few per cent, and a session asks 256 frames.
 struct Blink {
   int frame = 0;
   double light = 1.0;  // over that of the frames about it

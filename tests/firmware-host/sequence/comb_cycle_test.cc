@@ -204,6 +204,15 @@ TEST(Blinks, OfShortCyclesAreAskedOfAllTheirFrames) {
   EXPECT_NEAR(blinks[0].light, 0.6, 1e-12);
 }
 
+// What eight combs of a small projector gave, and gave with a blink in one of them: a frame's own deviation, half a
+// rank of so few, had raised the limit over itself.
+TEST(Blinks, OfFewFramesAreJudgedByTheOthers) {
+  EXPECT_TRUE(FindBlinks({0.986, 1.003, 0.983, 0.955, 0.995, 1.027, 1.024, 0.981}, 0.15).empty());
+  const std::vector<Blink> blinks = FindBlinks({1.006, 0.823, 1.015, 0.965, 1.004, 1.058, 1.034, 0.990}, 0.15);
+  ASSERT_EQ(blinks.size(), 1U);
+  EXPECT_EQ(blinks[0].frame, 1);
+}
+
 // What a person's face at full size gave (frames of one projector): its second frame was taken for a blink, since only
 // the four frames about it were asked, and the larger of their two middles.
 TEST(Blinks, AreNotTheUnevenBeginOfACycle) {
