@@ -14,6 +14,7 @@ a surface of its own, too.
   scripts/figures-by-group.py --work /tmp/wide --comb-period 192         # combs with lines that far apart, in columns
   scripts/figures-by-group.py --work /tmp/waves --code micro-phase       # codes other than the plan's
   scripts/figures-by-group.py --work /tmp/groups --geometry truth        # on the simulation's own surface
+  scripts/figures-by-group.py --work /tmp/groups --run=--neighbours=off  # fits otherwise than as usual
   scripts/figures-by-group.py --list                                     # who they are
 
 People whose capture is in --work already are fitted only where the programs have changed. Exit 1: a program failed, and
@@ -25,7 +26,6 @@ import argparse
 import csv
 import json
 import math
-import os
 import pathlib
 import subprocess
 import sys
@@ -63,39 +63,34 @@ def choose(bin_folder, first, per_group):
     return chosen
 
 
-def metrics_of(store, geometry):
-    files = sorted(store.glob("sessions/*/fits/*/metrics.json"), key=os.path.getmtime)
-    found = [json.loads(file.read_text()) for file in files]
-    return [m for m in found if any(c["geometry"] == geometry for c in m["coverage"])][-1]
-
-
 def judge(args, person):
     store = args.work / f"person-{person['person']}"
-    commands = []
+    capture = None
     if not list(store.glob("sessions/*/manifest.json")):
         scene = "--simulate"
         if args.scattering is not None:
             file = args.work / "scene.toml"
             file.write_text(f"[skin]\nscattering = {args.scattering}\n")
             scene = f"--simulate={file}"
-        commands.append(["stratalux-rig", "capture", scene, "--exposure", "auto", "--seed", str(person["person"]), "--size",
-                         args.size])
+        capture = ["stratalux-rig", "capture", scene, "--exposure", "auto", "--seed", str(person["person"]), "--size", args.size]
         if args.comb_period is not None:
             file = args.work / "rig.toml"
             file.write_text(f"[plan]\ncomb_period = {args.comb_period}\n")
-            commands[-1].append(f"--config={file}")
+            capture.append(f"--config={file}")
         if args.code is not None:
-            commands[-1].append(f"--code={args.code}")
-    commands.append(["stratalux-fit", "run", "latest", "--geometry", args.geometry])
+            capture.append(f"--code={args.code}")
+    fit = ["stratalux-fit", "run", "latest", "--geometry", args.geometry, "--json", *args.run]
     log = args.work / f"person-{person['person']}.log"
     with open(log, "a") as out:
-        for command in commands:
-            done = subprocess.run([args.bin / command[0], *command[1:], "--store", store], stdout=out, stderr=out)
+        for command in [capture, fit] if capture else [fit]:
+            done = subprocess.run([args.bin / command[0], *command[1:], "--store", store], stdout=subprocess.PIPE, stderr=out,
+                                  text=True)
+            out.write(done.stdout)
             if done.returncode not in (0, 3):  # 3: degraded, and complete as far as it goes
                 print(f"error: {' '.join(command)} of person {person['person']} ended with {done.returncode}: {log}",
                       file=sys.stderr)
                 return False
-    metrics = metrics_of(store, args.geometry)
+    metrics = json.loads((pathlib.Path(json.loads(done.stdout)["folder"]) / "metrics.json").read_text())
     person["depth_rms_mm"] = metrics["truth"]["depth_rms_mm"]
     person["normals"] = metrics.get("normals")
     covered = [c for c in metrics["coverage"] if c["geometry"] == args.geometry]
@@ -198,6 +193,8 @@ def main():
     parser.add_argument("--code", help="of the columns, in place of the plan's")
     parser.add_argument("--geometry", choices=["reconstructed", "truth"], default="reconstructed",
                         help="the surface that the fit stands on (reconstructed)")
+    parser.add_argument("--run", action="append", default=[], metavar="OPTION",
+                        help="an option of stratalux-fit run, as --run=--neighbours=off; may be repeated")
     parser.add_argument("--list", action="store_true", help="only say who would be captured")
     parser.add_argument("--check", action="store_true", help="exit 1 where a group falls short")
     parser.add_argument("--json", type=pathlib.Path, help="also write each person's figures there")
