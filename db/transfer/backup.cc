@@ -98,6 +98,10 @@ class BackupRun {
 };
 
 Status BackupRun::ReadIndex() {
+  // What a killed run left, first: SQLite would roll its journal into the new snapshot.
+  std::error_code error;
+  fs::remove_all(fresh_, error);
+  if (error) return Status::Failed("cannot remove " + fresh_.string() + ": " + error.message());
   SLX_RETURN_IF_ERROR(MakeFolder(fresh_));
   SLX_RETURN_IF_ERROR(Snapshot(store_ / "index.sqlite", fresh_ / "index.sqlite"));
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(fresh_, AccessMode::kReadWrite));

@@ -5,6 +5,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "db/base/sqlite.h"
 #include "db/care/reindex.h"
 #include "db/ledger/ledger.h"
 #include "shared/base/read_file.h"
@@ -234,6 +235,31 @@ TEST_F(BackupTest, KilledAnywhereItIsWholeAndGoesOn) {
   ASSERT_TRUE(RestoreNew().ok());
   EXPECT_EQ(Ids(other_), ids);
   EXPECT_FALSE(std::filesystem::exists(backup_ / "backup.unfinished"));
+}
+
+// The journal in which a run was deleting rows of its own snapshot when it was killed.
+TEST_F(BackupTest, AKilledRunsJournalIsNotRolledIntoTheNextIndex) {
+  StoreSession(40, Groups(40));
+  ASSERT_TRUE(BackUp().ok());
+  {
+    auto earlier = Connection::Open(backup_ / "index.sqlite", Connection::Mode::kReadWrite);
+    ASSERT_TRUE(earlier.ok()) << earlier.status().message();
+    // The journal's head tells its records only where it is synced, or where it says that it never is.
+    ASSERT_TRUE(earlier->Execute("PRAGMA synchronous = OFF; BEGIN IMMEDIATE; DELETE FROM frames").ok());
+    std::filesystem::create_directories(backup_ / "index.new");
+    std::filesystem::copy_file(backup_ / "index.sqlite-journal", backup_ / "index.new" / "index.sqlite-journal");
+    ASSERT_TRUE(earlier->Execute("ROLLBACK").ok());
+  }
+  ASSERT_GT(std::filesystem::file_size(backup_ / "index.new" / "index.sqlite-journal"), 4096U);
+  for (int i = 0; i < 3; ++i) StoreSession(40, Groups(40));
+  const auto made = BackUp();
+  ASSERT_TRUE(made.ok()) << made.status().message();
+  EXPECT_THAT(made->problems, IsEmpty());
+  auto index = Connection::Open(backup_ / "index.sqlite", Connection::Mode::kReadOnly);
+  ASSERT_TRUE(index.ok()) << index.status().message();
+  EXPECT_EQ(*index->QueryInteger("SELECT count(*) FROM pragma_integrity_check WHERE integrity_check <> 'ok'"), 0);
+  EXPECT_EQ(*index->QueryInteger("SELECT count(*) FROM sessions"), 4);
+  EXPECT_EQ(*index->QueryInteger("SELECT count(*) FROM frames"), 160);
 }
 
 TEST_F(BackupTest, WhatAnInterruptedRunCopiedIsNotCopiedAgain) {
