@@ -5,7 +5,6 @@
 
 #include "db/ledger/ledger_folder.h"
 #include "db/ledger/old_tombstones.h"
-#include "shared/base/read_file.h"
 
 namespace stratalux::db {
 namespace {
@@ -48,13 +47,6 @@ std::vector<LedgerEntry> Salvage(std::string_view line) {
   return entries;
 }
 
-Result<std::string> ReadChain(const fs::path& file) {
-  std::error_code error;
-  if (!fs::is_regular_file(fs::symlink_status(file, error)))
-    return Status::Integrity(file.string() + " is no regular file; a chain of the ledger belongs there");
-  return ReadFile(file);
-}
-
 Status Newer(const fs::path& file, int64_t line) {
   return Status(StatusCode::kNewerSchema,
                 file.string() + ", line " + std::to_string(line) + ": of a later version; use a newer stratalux");
@@ -69,7 +61,7 @@ class LedgerReader {
   void Bind(LedgerEntry entry);
   void Problem(const std::string& text) { ledger_.problems_.push_back(text); }
   [[nodiscard]] Result<Ledger> Finish() && {
-    if (!newer_.ok()) return newer_;
+    if (!unread_.ok()) return unread_;
     return std::move(ledger_);
   }
 
@@ -77,7 +69,7 @@ class LedgerReader {
   void CheckPlace(const LedgerLine& line, const LedgerLine& before, const std::string& where);
 
   Ledger ledger_;
-  Status newer_;
+  Status unread_;        // a chain of a later version, or one that cannot be read: who knows whom it forgets
   int64_t damaged_ = 0;  // lines of the chain at hand
 };
 
@@ -103,7 +95,11 @@ void LedgerReader::CheckPlace(const LedgerLine& line, const LedgerLine& before, 
 
 void LedgerReader::Add(const ChainFile& chain, bool own) {
   const auto bytes = ReadChain(chain.path);
-  if (!bytes.ok()) return Problem(bytes.status().message());
+  if (bytes.status().code() == StatusCode::kIntegrity) return Problem(bytes.status().message());
+  if (!bytes.ok()) {
+    if (unread_.ok()) unread_ = bytes.status();
+    return;
+  }
   const Lines lines = SplitLines(*bytes);
   damaged_ = 0;
   LedgerLine before;
@@ -114,7 +110,7 @@ void LedgerReader::Add(const ChainFile& chain, bool own) {
     const std::string where = chain.path.string() + ", line " + std::to_string(++number);
     LedgerLine line = ParseLine(text);
     if (torn && own && line.state == LineState::kDamaged) return;  // never acknowledged: the next append cuts it
-    if (line.state == LineState::kNewer && newer_.ok()) newer_ = Newer(chain.path, number);
+    if (line.state == LineState::kNewer && unread_.ok()) unread_ = Newer(chain.path, number);
     CheckPlace(line, before, where);
     std::vector<LedgerEntry> readable;
     if (line.entry) readable.push_back(std::move(*line.entry));
@@ -136,14 +132,10 @@ void LedgerReader::Add(const ChainFile& chain, bool own) {
 namespace {
 
 Status AddFolder(const fs::path& folder, LedgerReader& reader) {
-  std::error_code error;
-  const auto type = fs::status(folder, error).type();
-  if (type == fs::file_type::not_found) return Status::Ok();
-  const fs::directory_iterator readable(folder, error);
-  if (error) return Status::Failed("cannot read the ledger " + folder.string() + ": " + error.message());
+  SLX_ASSIGN_OR_RETURN(const std::vector<ChainFile> chains, ListChains(folder));
   const auto own = StoreIdIn(folder);
   if (own.status().code() == StatusCode::kIntegrity) reader.Problem(own.status().message());
-  for (const ChainFile& chain : ListChains(folder)) {
+  for (const ChainFile& chain : chains) {
     const bool is_own = own.ok() && chain.path.stem() == *own;
     if (chain.path.stem() != chain.store_id)
       reader.Problem(chain.path.string() + " departs from " + chain.store_id +
@@ -175,7 +167,8 @@ Result<Ledger> Ledger::ReadFolder(const fs::path& folder) {
 
 Result<LedgerNews> ReadLedgerNews(const fs::path& store, const std::map<std::string, int64_t>& heads) {
   LedgerNews news;
-  for (const ChainFile& chain : ListChains(LedgerFolder(store))) {
+  SLX_ASSIGN_OR_RETURN(const std::vector<ChainFile> chains, ListChains(LedgerFolder(store)));
+  for (const ChainFile& chain : chains) {
     const std::string name = chain.path.filename().string();
     std::error_code error;
     if (!fs::is_regular_file(fs::symlink_status(chain.path, error))) continue;  // Read() names it
@@ -185,7 +178,7 @@ Result<LedgerNews> ReadLedgerNews(const fs::path& store, const std::map<std::str
     news.heads[name] = from;
     if (from == size && !error) continue;
     if (from > size) from = 0;
-    SLX_ASSIGN_OR_RETURN(const std::string bytes, ReadFile(chain.path));
+    SLX_ASSIGN_OR_RETURN(const std::string bytes, ReadChain(chain.path));
     const auto lines = SplitLines(std::string_view(bytes).substr(std::min(bytes.size(), static_cast<size_t>(from))));
     for (const std::string_view text : lines.ended) {
       LedgerLine line = ParseLine(text);

@@ -53,7 +53,8 @@ struct LedgerMerge {
 class Ledger {
  public:
   // A store without a ledger has an empty one. A damaged chain never hides the others nor its own readable entries: it
-  // stands in problems(). kNewerSchema for a chain of a later version.
+  // stands in problems(). kNewerSchema for a chain of a later version, kFailed for one that is there and cannot be
+  // read: nobody knows whom it forgets.
   [[nodiscard]] static Result<Ledger> Read(const std::filesystem::path& store);
   // The same of a folder of chains: the `ledger/` of a source or of a backup.
   [[nodiscard]] static Result<Ledger> ReadFolder(const std::filesystem::path& folder);
@@ -93,7 +94,8 @@ Status AppendToLedger(const std::filesystem::path& store, const LedgerEntry& ent
 // Takes over every chain of `folder` that is longer than what is here, and keeps a fork of a chain beside it under a
 // name of its own, unless the fork is but a damaged copy that says nothing new. Merging twice changes nothing. A chain
 // never gets shorter. kNewerSchema, with the chains that this program understands taken over, where one is of a later
-// version. The tombstones of a store before the ledger lie in no such folder: Ledger::Read(that store) has them.
+// version; kFailed where one cannot be read. The tombstones of a store before the ledger lie in no such folder:
+// Ledger::Read(that store) has them.
 [[nodiscard]] Result<LedgerMerge> MergeLedger(const std::filesystem::path& store, const std::filesystem::path& folder);
 
 // 32 hex digits; made with the store, the same for ever. kNotFound where the store has no chain of its own yet.

@@ -15,6 +15,7 @@
 
 #include "db/base/descriptor.h"
 #include "db/base/durable_file.h"
+#include "db/base/listing.h"
 #include "shared/base/read_file.h"
 
 namespace stratalux::db {
@@ -124,19 +125,30 @@ Result<UniqueFd> LockLedger(const fs::path& store) {
   return lock;
 }
 
-std::vector<ChainFile> ListChains(const fs::path& folder) {
+Result<std::vector<ChainFile>> ListChains(const fs::path& folder) {
   std::vector<ChainFile> chains;
-  std::error_code error;
-  for (auto entry = fs::directory_iterator(folder, error); !error && entry != fs::directory_iterator();
-       entry.increment(error)) {
-    const fs::path& path = entry->path();
+  SLX_ASSIGN_OR_RETURN(const std::vector<fs::path> entries, EntriesOf(folder));
+  for (const fs::path& path : entries) {
     const std::string stem = path.stem().string(), id = stem.substr(0, kIdDigits);
     const std::string_view rest = std::string_view(stem).substr(id.size());
     const bool fork = rest.starts_with(kForkMark) && IsHex(rest.substr(kForkMark.size()), kForkDigits);
     if (path.extension() == ".jsonl" && IsHex(id, kIdDigits) && (rest.empty() || fork)) chains.push_back({path, id});
   }
-  std::sort(chains.begin(), chains.end(), [](const auto& a, const auto& b) { return a.path < b.path; });
   return chains;
+}
+
+Result<std::string> ReadChain(const fs::path& file) {
+  constexpr const char* kRemedy =
+      "; whom it forgets would come back unseen: let this account read it, or put it back from a backup";
+  std::error_code error;
+  const auto type = fs::symlink_status(file, error).type();
+  if (type == fs::file_type::none)
+    return Status::Failed("cannot look at " + file.string() + ": " + error.message() + kRemedy);
+  if (type != fs::file_type::regular)
+    return Status::Integrity(file.string() + " is no regular file; a chain of the ledger belongs there");
+  auto bytes = ReadFile(file, kMostChainBytes);
+  if (!bytes.ok()) return Status::Failed(bytes.status().message() + kRemedy);
+  return bytes;
 }
 
 Result<std::string> OwnStoreId(const fs::path& store) {

@@ -22,8 +22,12 @@ struct ChainFile {
   std::filesystem::path path;
   std::string store_id;
 };
-// By name. Other names are none of ours.
-[[nodiscard]] std::vector<ChainFile> ListChains(const std::filesystem::path& folder);
+// By name; none where there is no such folder. Other names are none of ours. kFailed where it cannot be listed.
+[[nodiscard]] Result<std::vector<ChainFile>> ListChains(const std::filesystem::path& folder);
+// Ten years of a rig with a hundred visitors a day. Nobody may shorten a chain, so that what is longer stays unread.
+inline constexpr int64_t kMostChainBytes = int64_t{1} << 30;
+// kIntegrity where it is no regular file: no chain, then. kFailed, with what to do, where it is one and cannot be read.
+[[nodiscard]] Result<std::string> ReadChain(const std::filesystem::path& file);
 
 // What LEDGER/store.id says. kNotFound where there is none, kIntegrity for other bytes.
 [[nodiscard]] Result<std::string> StoreIdIn(const std::filesystem::path& folder);

@@ -6,7 +6,6 @@
 
 #include "db/base/durable_file.h"
 #include "db/ledger/ledger_folder.h"
-#include "shared/base/read_file.h"
 
 namespace stratalux::db {
 namespace {
@@ -21,13 +20,11 @@ struct Chain {
 
 int64_t LinesIn(std::string_view bytes) { return std::count(bytes.begin(), bytes.end(), '\n'); }
 
-// Whole lines, one of them readable: other bytes are no chain. kNewerSchema where a line is of a later version.
+// Whole lines, one of them readable: other bytes are no chain. kNewerSchema where a line is of a later version, kFailed
+// where the file cannot be read.
 Result<Chain> ReadSource(const ChainFile& file) {
-  std::error_code error;
-  if (!fs::is_regular_file(fs::symlink_status(file.path, error)))
-    return Status::Integrity(file.path.string() + " is no regular file and was left out");
   Chain chain{file, {}};
-  SLX_ASSIGN_OR_RETURN(chain.bytes, ReadFile(file.path));
+  SLX_ASSIGN_OR_RETURN(chain.bytes, ReadChain(file.path));
   const size_t torn_at = chain.bytes.rfind('\n') + 1;  // 0 where there is none
   const auto torn = ParseLine(std::string_view(chain.bytes).substr(torn_at));
   if (torn.state == LineState::kDamaged) {
@@ -89,9 +86,10 @@ Status MergeOne(const fs::path& folder, const Chain& source, LedgerMerge& merge)
   std::string main_bytes, longest_bytes;
   fs::path longest;
   std::set<std::string> lines_here;
-  for (const ChainFile& file : ListChains(folder)) {
+  SLX_ASSIGN_OR_RETURN(const std::vector<ChainFile> chains, ListChains(folder));
+  for (const ChainFile& file : chains) {
     if (file.store_id != source.file.store_id) continue;
-    SLX_ASSIGN_OR_RETURN(std::string bytes, ReadFile(file.path));
+    SLX_ASSIGN_OR_RETURN(std::string bytes, ReadChain(file.path));
     bytes.resize(bytes.rfind('\n') + 1);  // a torn end was never acknowledged
     if (bytes.starts_with(source.bytes)) return Status::Ok();
     std::istringstream lines(bytes);
@@ -120,7 +118,7 @@ Status MergeOne(const fs::path& folder, const Chain& source, LedgerMerge& merge)
 
 Result<LedgerMerge> MergeLedger(const fs::path& store, const fs::path& folder) {
   LedgerMerge merge;
-  const auto chains = ListChains(folder);
+  SLX_ASSIGN_OR_RETURN(const std::vector<ChainFile> chains, ListChains(folder));
   if (chains.empty()) return merge;
   SLX_ASSIGN_OR_RETURN(const auto lock, LockLedger(store));
   Status newer;
@@ -128,6 +126,8 @@ Result<LedgerMerge> MergeLedger(const fs::path& store, const fs::path& folder) {
     const auto source = ReadSource(file);
     if (source.status().code() == StatusCode::kNewerSchema) {
       newer = source.status();
+    } else if (source.status().code() == StatusCode::kFailed) {
+      return source.status();
     } else if (!source.ok()) {
       merge.problems.push_back(source.status().message());
     } else {

@@ -5,10 +5,10 @@
 #include "db/base/write_lock.h"
 #include "db/care/session_rebuild.h"
 #include "db/care/verify_payloads.h"
+#include "db/catalogue/deletions.h"
 #include "db/catalogue/manifest.h"
 #include "db/keys/rig_key.h"
 #include "db/keys/sealed_key.h"
-#include "db/ledger/ledger.h"
 #include "shared/base/read_file.h"
 
 namespace stratalux::db {
@@ -119,13 +119,6 @@ Status InsertAdopted(const fs::path& store, const RebuiltSession& session, const
   return InsertRebuilt(index, session, number).status();
 }
 
-// Asked under the write lock, which a forgetting takes as well: none can begin between the answer and the move.
-Status RefuseTombstone(const fs::path& store, const std::string& id) {
-  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
-  if (!ledger.IsForgotten(id)) return Status::Ok();
-  return Status::Usage("session " + id + " was forgotten and cannot return");
-}
-
 }  // namespace
 
 Status AdoptFolder(const fs::path& store, const fs::path& folder, const std::string& from) {
@@ -134,7 +127,8 @@ Status AdoptFolder(const fs::path& store, const fs::path& folder, const std::str
   if (info.id.empty() || info.id.find('/') != std::string::npos || info.id.starts_with('.'))
     return Status::Integrity((folder / "manifest.json").string() + ": '" + info.id + "' is no session id");
   SLX_ASSIGN_OR_RETURN(const auto lock, WriteLock::Take(store));  // a reindex would not see the new row
-  SLX_RETURN_IF_ERROR(RefuseTombstone(store, info.id));
+  // Under the lock, which a forgetting takes as well: none can begin between the answer and the move.
+  SLX_RETURN_IF_ERROR(RefuseForgotten(store, info.id));
   std::error_code error;
   if (fs::exists(target, error)) return Status::Usage("session " + info.id + " is in " + store.string() + " already");
   // What no index takes is not moved: there it would keep out every later one.
@@ -150,7 +144,7 @@ Status AdoptFolder(const fs::path& store, const fs::path& folder, const std::str
 Status ListAdopted(const fs::path& store, const std::string& id, const std::string& from) {
   SLX_RETURN_IF_ERROR(CheckFolder(store / "sessions" / id).status());
   SLX_ASSIGN_OR_RETURN(const auto lock, WriteLock::Take(store));
-  SLX_RETURN_IF_ERROR(RefuseTombstone(store, id));
+  SLX_RETURN_IF_ERROR(RefuseForgotten(store, id));
   SLX_ASSIGN_OR_RETURN(const RebuiltSession session, RebuildSession(store / "sessions" / id));
   return InsertAdopted(store, session, from);
 }
@@ -160,7 +154,7 @@ Result<bool> AdoptSealedKey(const fs::path& store, const std::string& id, const 
   const fs::path target = store / "sessions" / id / file.filename();
   if (const auto there = ReadFile(target); there.ok() && *there == bytes) return false;
   SLX_ASSIGN_OR_RETURN(const auto lock, WriteLock::Take(store));
-  SLX_RETURN_IF_ERROR(RefuseTombstone(store, id));
+  SLX_RETURN_IF_ERROR(RefuseForgotten(store, id));
   KeyId key{};
   {
     SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadOnly));

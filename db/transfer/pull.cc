@@ -11,6 +11,7 @@
 
 #include "db/base/durable_file.h"
 #include "db/care/incoming.h"
+#include "db/catalogue/deletions.h"
 #include "db/catalogue/fit_store.h"
 #include "db/catalogue/session_index.h"
 #include "db/keys/sealed_key.h"
@@ -24,12 +25,6 @@ namespace stratalux::db {
 namespace {
 
 namespace fs = std::filesystem;
-
-std::set<std::string> ForgottenIn(const Ledger& ledger) {
-  std::set<std::string> ids;
-  for (const auto& [id, certificate] : ledger.forgotten()) ids.insert(id);
-  return ids;
-}
 
 // What those who pull at the same time share. Whoever has the turn works on the store and on these; it is given away
 // while a source is waited for.
@@ -107,11 +102,11 @@ bool Puller::Claim(const std::string& id) {
 }
 
 Status Puller::TakeLedger() {
-  SLX_ASSIGN_OR_RETURN(const Ledger ours, Ledger::Read(store_));
-  forgotten_ = ForgottenIn(ours);
+  SLX_ASSIGN_OR_RETURN(const auto ours, ListDeletions(store_));
+  for (const Deletion& deletion : ours) forgotten_.insert(deletion.session);
   SLX_RETURN_IF_ERROR(ForTheSource([this] { return catalogue_.Fetch(forgotten_, report_.problems); }));
   SLX_ASSIGN_OR_RETURN(const Ledger theirs, Ledger::Read(catalogue_.folder()));
-  forgotten_.merge(ForgottenIn(theirs));
+  for (const auto& [id, certificate] : theirs.forgotten()) forgotten_.insert(id);
   // An older store's tombstones bear the names of sessions: they are taken over, never kept.
   const fs::path tombstones = catalogue_.folder() / "deletions";
   if (dry()) return WipeFolder(tombstones);

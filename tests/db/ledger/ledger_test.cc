@@ -12,6 +12,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include "db/ledger/ledger_folder.h"
 #include "db/ledger/ledger_line.h"
 #include "tests/db/ledger/ledger_fixture.h"
 
@@ -219,6 +220,28 @@ TEST_F(LedgerTest, AnythingButAFileInAChainsPlaceIsSaidAndDoesNotHang) {
   ASSERT_EQ(mkfifo(place.c_str(), 0600), 0);
   EXPECT_THAT(ReadOf(store_).problems(), ElementsAre(HasSubstr("no regular file")));
   EXPECT_TRUE(ReadOf(store_).IsForgotten("s1"));
+}
+
+// Whom it forgets would come back: nobody may go on as if it were not there.
+TEST_F(LedgerTest, AChainThatCannotBeReadFailsWhoeverAsks) {
+  ASSERT_TRUE(Append(store_, LedgerKind::kForgetting, "s1").ok());
+  const fs::path chain = store_ / "ledger" / (std::string(32, 'f') + ".jsonl"), other = NewStore("other");
+  const auto expect_refused = [&] {
+    for (const Status& status : {Ledger::Read(store_).status(), Ledger::ReadFolder(store_ / "ledger").status(),
+                                 ReadLedgerNews(store_, {}).status(), MergeLedger(other, store_ / "ledger").status()}) {
+      EXPECT_EQ(status.code(), StatusCode::kFailed) << status.message();
+      EXPECT_THAT(status.message(), HasSubstr(chain.string()));
+      EXPECT_THAT(status.message(), HasSubstr("put it back from a backup"));
+    }
+  };
+  WriteText(chain, "");
+  fs::resize_file(chain, static_cast<uintmax_t>(kMostChainBytes) + 1);  // without a block of the disk
+  expect_refused();
+  fs::resize_file(chain, 0);
+  EXPECT_TRUE(ReadOf(store_).IsForgotten("s1"));
+  if (geteuid() == 0) return;  // who may read everything
+  fs::permissions(chain, fs::perms::none);
+  expect_refused();
 }
 
 TEST_F(LedgerTest, TakesEveryEntryOfTwoProcessesAtOnce) {

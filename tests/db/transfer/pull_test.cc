@@ -9,6 +9,7 @@
 #include "db/care/verify.h"
 #include "db/catalogue/consent.h"
 #include "db/ledger/ledger.h"
+#include "db/ledger/ledger_folder.h"
 #include "db/privacy/forget.h"
 #include "tests/db/transfer/transfer_fixture.h"
 
@@ -204,6 +205,27 @@ TEST_F(PullTest, SegmentsThatTheManifestDoesNotNameStayOut) {
   EXPECT_THAT(pulled->problems, IsEmpty());
   EXPECT_THAT(pulled->notes, ElementsAre(HasSubstr("frames-0005.seg was left out")));
   EXPECT_EQ(Ids(other_), std::vector{id});
+}
+
+// A chain that another account wrote, or that lies on a bad block.
+TEST_F(PullTest, NobodyReturnsWhileAChainCannotBeReadOrIsLost) {
+  const std::string id = StoreSession(1);
+  const std::filesystem::path chain = other_ / "ledger" / (std::string(32, 'f') + ".jsonl");
+  WriteText(chain, "");
+  std::filesystem::resize_file(chain, static_cast<uintmax_t>(kMostChainBytes) + 1);
+  const auto refused = PullHere();
+  EXPECT_EQ(refused.status().code(), StatusCode::kFailed);
+  EXPECT_THAT(refused.status().message(), HasSubstr(chain.string()));
+  EXPECT_THAT(Ids(other_), IsEmpty());
+  std::filesystem::remove(chain);
+  // The index knows it, too, and either of the two may be lost.
+  ASSERT_TRUE(AppendToLedger(other_, {LedgerKind::kForgetting, WallNow(), {id}, "", R"({"reason": "forget"})"}).ok());
+  ASSERT_TRUE(SessionStore::Open(other_, AccessMode::kReadWrite).ok());
+  std::filesystem::remove_all(other_ / "ledger");
+  const auto pulled = PullHere();
+  ASSERT_TRUE(pulled.ok()) << pulled.status().message();
+  EXPECT_EQ(pulled->forgotten, 1);
+  EXPECT_THAT(Ids(other_), IsEmpty());
 }
 
 TEST_F(PullTest, ObeysForgettingsOfBothSidesAndOfOlderStores) {
