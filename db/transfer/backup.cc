@@ -14,6 +14,7 @@
 #include "db/ledger/ledger.h"
 #include "db/ledger/old_tombstones.h"
 #include "db/transfer/backup_folder.h"
+#include "db/transfer/restored_index.h"
 #include "shared/base/unique_fd.h"
 
 namespace stratalux::db {
@@ -172,21 +173,25 @@ Status BackupRun::CopyTombstones(BackupFolder& folder) {
   return Status::Ok();
 }
 
-// A session that was forgotten meanwhile leaves neither files nor rows. Rows of a damaged one do not fit its last good
-// copy: a restore lists that by its own files.
+// A session that was forgotten meanwhile leaves neither files nor rows, nor its visitor's pseudonym. Rows of a damaged
+// one do not fit its last good copy: a restore lists that by its own files.
 Status BackupRun::DropForgotten(BackupFolder& folder) {
   SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store_));
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(fresh_, AccessMode::kReadWrite));
-  SLX_RETURN_IF_ERROR(index.connection().Execute("DELETE FROM sessions WHERE status = 'recording'"));
+  Connection& connection = index.connection();
+  bool any_forgotten = false;
   {
-    SLX_ASSIGN_OR_RETURN(auto remove, index.connection().Prepare("DELETE FROM sessions WHERE id = ?1"));
-    for (const auto& [id, certificate] : ledger.forgotten()) {
-      folder.DropSession(id);
-      SLX_RETURN_IF_ERROR(remove.Bind(1, id).Run());
-    }
+    SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
+    // First, while the rows say whose they were.
+    SLX_ASSIGN_OR_RETURN(any_forgotten, ForgetRows(index, ledger));
+    SLX_RETURN_IF_ERROR(connection.Execute("DELETE FROM sessions WHERE status = 'recording'"));
+    SLX_ASSIGN_OR_RETURN(auto remove, connection.Prepare("DELETE FROM sessions WHERE id = ?1"));
     for (const std::string& id : other_) SLX_RETURN_IF_ERROR(remove.Bind(1, id).Run());
+    SLX_RETURN_IF_ERROR(transaction.Commit());
   }
-  return index.connection().Execute("PRAGMA journal_mode = DELETE");
+  for (const auto& [id, certificate] : ledger.forgotten()) folder.DropSession(id);
+  if (any_forgotten) SLX_RETURN_IF_ERROR(connection.Execute("VACUUM"));
+  return connection.Execute("PRAGMA journal_mode = DELETE");
 }
 
 Status BackupRun::Run(ScrubShare share) {

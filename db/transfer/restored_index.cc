@@ -7,8 +7,6 @@
 
 #include "db/care/reindex.h"
 #include "db/care/session_rebuild.h"
-#include "db/catalogue/session_index.h"
-#include "db/ledger/ledger.h"
 #include "db/transfer/adopt.h"
 
 namespace stratalux::db {
@@ -27,20 +25,6 @@ Result<std::vector<IndexedSession>> SessionsOfIndex(Connection& connection) {
     if (!more) return sessions;
     sessions.push_back({select.Text(0), select.Text(1)});
   }
-}
-
-// As a forgetting leaves it: no row of the session, no pseudonym of a visitor without another one.
-Status ForgetRows(Connection& connection, const std::vector<IndexedSession>& forgotten) {
-  SLX_ASSIGN_OR_RETURN(auto access,
-                       connection.Prepare("UPDATE access_log SET detail = replace(detail, ?2, '(forgotten)') WHERE"
-                                          " session_id = ?1 AND ?2 <> ''"));
-  SLX_ASSIGN_OR_RETURN(auto visitor, connection.Prepare("DELETE FROM visitors WHERE id = ?1 AND NOT EXISTS"
-                                                        " (SELECT 1 FROM sessions WHERE visitor = ?1)"));
-  for (const IndexedSession& session : forgotten) {
-    SLX_RETURN_IF_ERROR(access.Bind(1, session.id).Bind(2, session.visitor).Run());
-    SLX_RETURN_IF_ERROR(visitor.Bind(1, session.visitor).Run());
-  }
-  return forgotten.empty() ? Status::Ok() : connection.Execute("VACUUM");
 }
 
 // A damaged list of the backup's files may lack a fit's record, without which it is none.
@@ -108,24 +92,42 @@ Status ListUnlisted(SessionIndex& index, const fs::path& store, const std::strin
 
 }  // namespace
 
+Result<bool> ForgetRows(SessionIndex& index, const Ledger& ledger) {
+  Connection& connection = index.connection();
+  SLX_ASSIGN_OR_RETURN(auto forgotten, SessionsOfIndex(connection));
+  std::erase_if(forgotten, [&](const IndexedSession& session) { return !ledger.IsForgotten(session.id); });
+  SLX_ASSIGN_OR_RETURN(auto row, connection.Prepare("DELETE FROM sessions WHERE id = ?1"));
+  SLX_ASSIGN_OR_RETURN(auto access,
+                       connection.Prepare("UPDATE access_log SET detail = replace(detail, ?2, '(forgotten)') WHERE"
+                                          " session_id = ?1 AND ?2 <> ''"));
+  SLX_ASSIGN_OR_RETURN(auto visitor, connection.Prepare("DELETE FROM visitors WHERE id = ?1 AND NOT EXISTS"
+                                                        " (SELECT 1 FROM sessions WHERE visitor = ?1)"));
+  for (const IndexedSession& session : forgotten) {
+    SLX_RETURN_IF_ERROR(row.Bind(1, session.id).Run());
+    SLX_RETURN_IF_ERROR(access.Bind(1, session.id).Bind(2, session.visitor).Run());
+  }
+  for (const IndexedSession& session : forgotten) SLX_RETURN_IF_ERROR(visitor.Bind(1, session.visitor).Run());
+  return !forgotten.empty();
+}
+
 Status PrepareIndex(const fs::path& store, const fs::path& work, const std::string& from, RestoreReport& report) {
   SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(work, AccessMode::kReadWrite));
   Connection& connection = index.connection();
   SLX_ASSIGN_OR_RETURN(const auto sessions, SessionsOfIndex(connection));
-  std::vector<IndexedSession> forgotten;
+  bool any_forgotten = false;
   {
     SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
     SLX_ASSIGN_OR_RETURN(auto remove, connection.Prepare("DELETE FROM sessions WHERE id = ?1"));
     for (const IndexedSession& session : sessions) {
       std::error_code error;
-      if (ledger.IsForgotten(session.id)) forgotten.push_back(session);
-      if (!ledger.IsForgotten(session.id) && fs::exists(store / "sessions" / session.id, error)) continue;
+      if (ledger.IsForgotten(session.id) || fs::exists(store / "sessions" / session.id, error)) continue;
       SLX_RETURN_IF_ERROR(remove.Bind(1, session.id).Run());
     }
+    SLX_ASSIGN_OR_RETURN(any_forgotten, ForgetRows(index, ledger));
     SLX_RETURN_IF_ERROR(transaction.Commit());
   }
-  SLX_RETURN_IF_ERROR(ForgetRows(connection, forgotten));
+  if (any_forgotten) SLX_RETURN_IF_ERROR(connection.Execute("VACUUM"));
   SLX_RETURN_IF_ERROR(DropFitsWithoutRecord(connection, store, report));
   SLX_RETURN_IF_ERROR(ListUnlisted(index, store, from, report));
   return connection.Execute("PRAGMA journal_mode = WAL; PRAGMA wal_checkpoint(TRUNCATE)");

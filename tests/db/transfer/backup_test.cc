@@ -7,7 +7,9 @@
 
 #include "db/base/sqlite.h"
 #include "db/care/reindex.h"
+#include "db/catalogue/consent.h"
 #include "db/ledger/ledger.h"
+#include "db/privacy/access_log.h"
 #include "shared/base/read_file.h"
 #include "tests/db/transfer/transfer_fixture.h"
 
@@ -62,6 +64,38 @@ TEST_F(BackupTest, ASecondOneCopiesOnlyWhatIsNewAndDropsWhatWasForgotten) {
   EXPECT_FALSE(std::filesystem::exists(backup_ / "sessions" / first));
   ASSERT_TRUE(RestoreNew().ok());
   EXPECT_EQ(Ids(other_), std::vector{second});
+}
+
+// The index is copied first: a forgetting that was entered meanwhile finds its rows, and whose they were, in there.
+TEST_F(BackupTest, WhoIsForgottenWhileItIsMadeLeavesNoPseudonymInIt) {
+  const std::string gone = "v-5f3a91c2", stays = "v-77e0b3d4";
+  std::string first;
+  for (const std::string& visitor : {gone, stays}) {
+    ASSERT_TRUE(GiveConsent(folder_, visitor, {"2026-03", "de", true, false, false, {}}).ok());
+    SessionStore store = OpenStore();
+    SessionInfo info;
+    info.visitor = visitor;
+    auto writer = store.BeginSession(info);
+    ASSERT_TRUE(writer.ok()) << writer.status().message();
+    ASSERT_TRUE(AppendTo(*writer, 0).ok());
+    ASSERT_TRUE(writer->Finish(SessionStatus::kComplete).ok());
+    if (first.empty()) first = writer->info().id;
+    ASSERT_TRUE(LogAccess(folder_, "export", writer->info().id, "here:/tmp/" + visitor).ok());
+  }
+  ASSERT_TRUE(
+      AppendToLedger(folder_, {LedgerKind::kForgetting, WallNow(), {first}, "", R"({"reason": "forget"})"}).ok());
+  const auto made = BackUp();
+  ASSERT_TRUE(made.ok()) << made.status().message();
+  EXPECT_EQ(made->sessions, 1);
+  const auto bytes = ReadBytes(backup_ / "index.sqlite");
+  const std::string index(bytes.begin(), bytes.end());
+  EXPECT_EQ(index.find(gone), std::string::npos);
+  EXPECT_NE(index.find("here:/tmp/" + stays), std::string::npos);
+  ASSERT_TRUE(RestoreNew().ok());
+  const auto consents = ListConsents(other_, "");
+  ASSERT_TRUE(consents.ok()) << consents.status().message();
+  ASSERT_THAT(*consents, SizeIs(1));
+  EXPECT_EQ(consents->front().visitor, stays);
 }
 
 TEST_F(BackupTest, KeysAreNeverInIt) {
