@@ -65,7 +65,7 @@ Result<fs::path> SwapIndex(const fs::path& store, const fs::path& fresh) {
     if (error) return Status::Failed("cannot keep " + file.string() + " as " + kept.string() + ": " + error.message());
   }
   // The log of a damaged index must not be taken for one of the new.
-  for (const char* suffix : {"-wal", "-shm"}) {
+  for (const char* suffix : {"-wal", "-shm", "-journal"}) {
     const fs::path log = file.string() + suffix;
     if (!fs::exists(log, error)) continue;
     SLX_RETURN_IF_ERROR(Move(log, (kept.empty() ? FreeName(store) : kept).string() + suffix));

@@ -5,7 +5,9 @@
 
 #include "db/base/durable_file.h"
 #include "db/base/paths.h"
+#include "db/base/write_lock.h"
 #include "db/care/incoming.h"
+#include "db/care/index_swap.h"
 #include "db/catalogue/session_index.h"
 #include "db/privacy/access_log.h"
 #include "db/transfer/adopt.h"
@@ -83,6 +85,7 @@ class Restorer {
 
   Status TakeLedgers(const RestoreOptions& options);
   Status TakeSessions(RestoreInto into, Logger& logger);
+  Status SwapIn(const fs::path& fresh);
   Status PlaceIndex(Logger& logger);
   Status Bind(const RestoreOptions& options);
 
@@ -192,16 +195,33 @@ Status Restorer::TakeSessions(RestoreInto into, Logger& logger) {
   return SyncFolder(store_ / "sessions");
 }
 
+// A run that was broken off may have placed one already, which programs have open, or whose log they left.
+Status Restorer::SwapIn(const fs::path& fresh) {
+  SLX_RETURN_IF_ERROR(ReleaseIndex(store_));
+  const auto kept = SwapIndex(store_, fresh);
+  if (!kept.ok()) {
+    (void)ResumeIndex(store_).ok();  // a damaged one cannot
+    return kept.status();
+  }
+  // A newer ledger may forget whom it lists.
+  return kept->empty() ? Status::Ok() : WipeFile(*kept);
+}
+
 Status Restorer::PlaceIndex(Logger& logger) {
   const fs::path work = store_ / "restore.index";
   std::error_code error;
   fs::remove_all(work, error);
+  if (error) return Status::Failed("cannot remove " + work.string() + ": " + error.message());
   Status copied = list_.files.contains("index.sqlite") ? Copy("index.sqlite", work / "index.sqlite")
                                                        : Status::Integrity("the backup lists no index.sqlite");
   if (IsTroubleOfAll(copied)) return copied;
-  if (copied.ok()) copied = PrepareIndex(store_, work, "backup " + from_.string(), report_);
-  const Status placed = copied.ok() ? KeepFile(work / "index.sqlite", store_ / "index.sqlite")
-                                    : RebuildIndex(store_, copied, logger, report_);
+  Status placed;
+  if (copied.ok()) {
+    SLX_ASSIGN_OR_RETURN(const auto lock, WriteLock::Take(store_));  // what is captured meanwhile would not be listed
+    copied = PrepareIndex(store_, work, "backup " + from_.string(), report_);
+    if (copied.ok()) placed = SwapIn(work / "index.sqlite");
+  }
+  if (!copied.ok()) placed = RebuildIndex(store_, copied, logger, report_);  // takes the lock itself
   fs::remove_all(work, error);
   return placed;
 }

@@ -2,6 +2,7 @@
 // Restore: nobody who was forgotten returns, and no damaged session keeps the others from coming back.
 #include <gmock/gmock.h>
 
+#include "db/base/sqlite.h"
 #include "db/catalogue/consent.h"
 #include "db/ledger/ledger.h"
 #include "db/privacy/access_log.h"
@@ -73,6 +74,35 @@ TEST_F(RestoreTest, ADamagedIndexIsBuiltAgainFromTheFolders) {
   EXPECT_THAT(restored->problems, IsEmpty());
   EXPECT_THAT(restored->notes, ::testing::Contains(HasSubstr("built again from the folders")));
   EXPECT_EQ(Ids(other_), (std::vector{second, first}));
+}
+
+// Broken off behind its index: programs may have opened that one, and one that was killed leaves its log.
+TEST_F(RestoreTest, AContinuedOneWaitsForWhoHasItsIndexOpenAndTakesNothingOfItsLog) {
+  const std::string id = StoreSession(40, Groups(40));
+  BackUp();
+  ASSERT_TRUE(RestoreNew().ok());
+  WriteText(other_ / "restore.unfinished", "");
+  const std::filesystem::path index = other_ / "index.sqlite", log = other_ / "index.sqlite-wal";
+  {
+    auto open = Connection::Open(index, Connection::Mode::kReadWrite);
+    ASSERT_TRUE(open.ok()) << open.status().message();
+    ASSERT_TRUE(open->Execute("DELETE FROM frames").ok());  // in the log alone
+    const auto refused = RestoreNew();
+    EXPECT_EQ(refused.status().code(), StatusCode::kBusy);
+    EXPECT_THAT(refused.status().message(), HasSubstr("open in another program"));
+    std::filesystem::copy_file(log, far_ / "log");
+  }
+  std::filesystem::copy_file(far_ / "log", log);
+  const auto restored = RestoreNew();
+  ASSERT_TRUE(restored.ok()) << restored.status().message();
+  EXPECT_THAT(restored->problems, IsEmpty());
+  EXPECT_EQ(Ids(other_), std::vector{id});
+  auto placed = Connection::Open(index, Connection::Mode::kReadOnly);
+  ASSERT_TRUE(placed.ok()) << placed.status().message();
+  EXPECT_EQ(*placed->QueryInteger("SELECT count(*) FROM frames"), 40);
+  EXPECT_EQ(*placed->QueryInteger("SELECT count(*) FROM pragma_integrity_check WHERE integrity_check <> 'ok'"), 0);
+  for (const auto& entry : std::filesystem::directory_iterator(other_))
+    EXPECT_THAT(entry.path().filename().string(), Not(HasSubstr("index-before"))) << "a newer ledger may forget whom";
 }
 
 // A flipped bit in the list of files sends a fit's record elsewhere: the index must not go on listing the fit.
