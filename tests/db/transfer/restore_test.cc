@@ -76,6 +76,20 @@ TEST_F(RestoreTest, ADamagedIndexIsBuiltAgainFromTheFolders) {
   EXPECT_EQ(Ids(other_), (std::vector{second, first}));
 }
 
+// The index knows it, too, and either of the two may be lost.
+TEST_F(RestoreTest, AMergeBringsNobodyBackWhomTheIndexAloneForgets) {
+  const std::string id = StoreSession(1);
+  BackUp();
+  ASSERT_TRUE(SessionStore::Create(other_).ok());
+  ForgetInLedger(other_, id);
+  ASSERT_TRUE(SessionStore::Open(other_, AccessMode::kReadWrite).ok());
+  std::filesystem::remove_all(other_ / "ledger");
+  const auto merged = RestoreMerged();
+  ASSERT_TRUE(merged.ok()) << merged.status().message();
+  EXPECT_THAT(merged->problems, ElementsAre(HasSubstr("was forgotten and cannot return")));
+  EXPECT_THAT(Ids(other_), IsEmpty());
+}
+
 // Broken off behind its index: programs may have opened that one, and one that was killed leaves its log.
 TEST_F(RestoreTest, AContinuedOneWaitsForWhoHasItsIndexOpenAndTakesNothingOfItsLog) {
   const std::string id = StoreSession(40, Groups(40));
