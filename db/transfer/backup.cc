@@ -85,6 +85,7 @@ class BackupRun {
 
  private:
   Status ReadIndex();
+  static Result<bool> HoldsSegments(SessionIndex& index, const std::string& id, const BackupFolder& folder);
   Status CopySessions(BackupFolder& folder);
   Status KeepLost(BackupFolder& folder);
   Status CopyTombstones(BackupFolder& folder);
@@ -95,7 +96,7 @@ class BackupRun {
   Logger& logger_;
   std::vector<std::string> ids_;     // finished sessions, in the order of their numbers
   std::set<std::string> recording_;  // in this snapshot
-  std::set<std::string> other_;      // of which the backup has none, or an earlier copy: not what the snapshot lists
+  std::set<std::string> other_;      // of which the backup has none, or another copy than the snapshot lists
 };
 
 Status BackupRun::ReadIndex() {
@@ -119,9 +120,22 @@ Status BackupRun::ReadIndex() {
   }
 }
 
+// False where a transcode has replaced the segments that the rows speak of since the snapshot.
+Result<bool> BackupRun::HoldsSegments(SessionIndex& index, const std::string& id, const BackupFolder& folder) {
+  SLX_ASSIGN_OR_RETURN(auto select, index.connection().Prepare("SELECT DISTINCT segment FROM frames WHERE session ="
+                                                               " (SELECT number FROM sessions WHERE id = ?1)"));
+  select.Bind(1, id);
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return true;
+    if (!folder.Holds("sessions/" + id + "/" + SegmentName(select.Integer(0)))) return false;
+  }
+}
+
 Status BackupRun::CopySessions(BackupFolder& folder) {
   Progress progress(logger_, "backup", static_cast<int64_t>(ids_.size()));
   SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store_));
+  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(fresh_, AccessMode::kReadOnly));
   for (const std::string& id : ids_) {
     progress.Advance();
     if (ledger.IsForgotten(id)) continue;
@@ -129,6 +143,8 @@ Status BackupRun::CopySessions(BackupFolder& folder) {
     if (copied.code() == StatusCode::kFailed) return copied;
     if (copied.ok()) {
       ++report_.sessions;
+      SLX_ASSIGN_OR_RETURN(const bool as_listed, HoldsSegments(index, id, folder));
+      if (!as_listed) other_.insert(id);
       continue;
     }
     // A forgetting may have begun while it was copied.
@@ -174,7 +190,8 @@ Status BackupRun::CopyTombstones(BackupFolder& folder) {
 }
 
 // A session that was forgotten meanwhile leaves neither files nor rows, nor its visitor's pseudonym. Rows of a damaged
-// one do not fit its last good copy: a restore lists that by its own files.
+// one do not fit its last good copy, nor those of one that was transcoded meanwhile its new one: a restore lists these
+// by their own files.
 Status BackupRun::DropForgotten(BackupFolder& folder) {
   SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store_));
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(fresh_, AccessMode::kReadWrite));

@@ -174,7 +174,18 @@ bool BackupFolder::MustVerify(const std::string& id, const std::vector<std::stri
   return false;
 }
 
-Status BackupFolder::CopySession(const std::string& id) {
+Result<BackupFolder::Seen> BackupFolder::LookAt(const std::string& id) const {
+  SLX_ASSIGN_OR_RETURN(const auto files, FilesOf(id));
+  Seen seen;
+  for (const std::string& path : files) {
+    if (IsOfFit(path)) continue;
+    SLX_ASSIGN_OR_RETURN(const int64_t time, ModifiedNs(store_ / path));
+    seen[path] = {time, SizeOf(store_ / path)};
+  }
+  return seen;
+}
+
+Status BackupFolder::CopyOnce(const std::string& id) {
   Status status;
   const auto files = FilesOf(id);
   if (!files.ok()) {
@@ -185,7 +196,26 @@ Status BackupFolder::CopySession(const std::string& id) {
     if (status.code() == StatusCode::kFailed) status = Status::Integrity(status.message());
   }
   for (size_t i = 0; status.ok() && i < files->size(); ++i) status = CopyFile((*files)[i]);
-  if (status.ok() || status.code() == StatusCode::kFailed) return status;
+  return status;
+}
+
+// A transcode puts other segments and another manifest in their place: of both states copied, neither is whole.
+Status BackupFolder::CopySession(const std::string& id) {
+  Status status;
+  for (const bool first : {true, false}) {
+    const int64_t kept = report_->files_kept, continued = report_->files_continued;
+    const auto before = LookAt(id);
+    status = CopyOnce(id);
+    if (status.code() == StatusCode::kFailed) return status;
+    const auto after = LookAt(id);
+    if (before.ok() == after.ok() && (!before.ok() || *before == *after)) break;
+    status = Status::Integrity((store_ / "sessions" / id).string() + " changed while it was copied, twice");
+    if (!first) break;
+    DropSession(id);
+    report_->files_kept = kept;
+    report_->files_continued = continued;
+  }
+  if (status.ok()) return status;
   DropSession(id);
   KeepSession(id);
   return status;

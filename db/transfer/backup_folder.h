@@ -5,8 +5,10 @@
 #pragma once
 
 #include <filesystem>
+#include <map>
 #include <set>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "db/transfer/backup.h"
@@ -23,13 +25,15 @@ class BackupFolder {
   static Result<BackupFolder> Open(const std::filesystem::path& store, const std::filesystem::path& to,
                                    BackupReport& report);
 
-  // Every file of sessions/<id>: the new and changed ones verified as a session first. Whatever cannot be read or is
-  // damaged: kIntegrity or the like, and the session's last good copy stays listed. kFailed: the backup cannot be
-  // written.
+  // Every file of sessions/<id>: the new and changed ones verified as a session first. Whatever cannot be read, is
+  // damaged or changes under it twice: kIntegrity or the like, and the session's last good copy stays listed. kFailed:
+  // the backup cannot be written.
   Status CopySession(const std::string& id);
   // What the earlier backup holds of the session stays in this one. False where it holds nothing.
   bool KeepSession(const std::string& id);
   void DropSession(const std::string& id);
+  // `path` is in this backup.
+  [[nodiscard]] bool Holds(const std::string& path) const { return list_.files.contains(path); }
   Status CopyFile(const std::string& path);
   // `beside` becomes `path` of the backup.
   Status PlaceFile(const std::filesystem::path& beside, const std::string& path);
@@ -47,6 +51,10 @@ class BackupFolder {
   [[nodiscard]] bool Unchanged(const std::string& path, const ListedFile& known) const;
   [[nodiscard]] bool TakeFromJournal(const std::string& path);
   [[nodiscard]] Result<std::vector<std::string>> FilesOf(const std::string& id) const;
+  // path -> time and size of what makes the session; fits are their own affair.
+  using Seen = std::map<std::string, std::pair<int64_t, int64_t>>;
+  [[nodiscard]] Result<Seen> LookAt(const std::string& id) const;
+  Status CopyOnce(const std::string& id);
   [[nodiscard]] bool MustVerify(const std::string& id, const std::vector<std::string>& files) const;
   Status Mend(const std::string& path, ListedFile& file);
   Status Note(const std::string& path, const ListedFile& file);

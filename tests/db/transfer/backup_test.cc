@@ -12,6 +12,7 @@
 #include "db/privacy/access_log.h"
 #include "shared/base/read_file.h"
 #include "tests/db/transfer/transfer_fixture.h"
+#include "tests/support/held_open.h"
 
 namespace stratalux::db {
 namespace {
@@ -166,6 +167,44 @@ TEST_F(BackupTest, WhatIsDamagedOrGoneInTheStoreKeepsItsLastGoodCopy) {
   ASSERT_TRUE(restored.ok()) << restored.status().message();
   EXPECT_THAT(restored->problems, IsEmpty());
   EXPECT_THAT(Ids(other_), ::testing::UnorderedElementsAre(damaged, cut, broken, lost, fresh));
+}
+
+// Its segments and manifest change between one file's copy and the next.
+TEST_F(BackupTest, ASessionThatIsTranscodedWhileItIsCopiedComesWhole) {
+  std::string id;
+  {
+    SessionStore store = OpenStore();
+    auto writer = store.BeginSession(SimulatedVisit(), {.codec = StoreCodec::kRaw12});
+    ASSERT_TRUE(writer.ok()) << writer.status().message();
+    for (int i = 0; i < 3; ++i) {
+      const Image<uint16_t> pixels(50, 40, 1, static_cast<uint16_t>(100 * i));
+      ASSERT_TRUE(writer->Append(RecordFor(i, PixelFormat::kMono12, 50, 40), pixels.view()).ok());
+    }
+    ASSERT_TRUE(writer->Finish(SessionStatus::kComplete).ok());
+    id = writer->info().id;
+  }
+  // Copied behind the segment and before the manifest, and read by nothing else.
+  const std::filesystem::path between = folder_ / "sessions" / id / "frames-note.txt";
+  WriteText(between, "a note");
+  HeldOpen held(between, HeldOpen::Against::kReading);
+  if (!held.taken()) GTEST_SKIP() << "no leases here";
+  Result<BackupReport> made = BackupReport();
+  std::thread backup([&] { made = BackUp(); });
+  const bool copying = held.Wait();
+  const Outcome transcoded = Db("transcode " + id + " --codec delta --store " + folder_.string());
+  held.Release();
+  backup.join();
+  ASSERT_TRUE(copying);
+  ASSERT_EQ(transcoded.code, 0) << transcoded.out;
+  ASSERT_FALSE(std::filesystem::exists(Segment(id)));
+  ASSERT_TRUE(made.ok()) << made.status().message();
+  EXPECT_THAT(made->problems, IsEmpty());
+  EXPECT_EQ(made->sessions, 1);
+  EXPECT_TRUE(std::filesystem::exists(Copied(id, "frames-0002.seg")));
+  const auto restored = RestoreNew();
+  ASSERT_TRUE(restored.ok()) << restored.status().message();
+  EXPECT_THAT(restored->problems, IsEmpty());
+  EXPECT_EQ(Ids(other_), std::vector{id}) << "verified: its rows are those of its new segment";
 }
 
 TEST_F(BackupTest, ASymbolicLinkBringsNothingOfElsewhereIntoIt) {
