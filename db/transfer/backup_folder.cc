@@ -2,12 +2,14 @@
 #include "db/transfer/backup_folder.h"
 
 #include <algorithm>
+#include <iterator>
 #include <sstream>
 
 #include <fcntl.h>
 
 #include "db/base/descriptor.h"
 #include "db/base/durable_file.h"
+#include "db/base/listing.h"
 #include "db/catalogue/artifact_record.h"
 #include "db/keys/sealed_key.h"
 #include "db/transfer/adopt.h"
@@ -295,11 +297,12 @@ Status BackupFolder::Scrub(ScrubShare share) {
 Status BackupFolder::RemoveOthers() {
   std::error_code error;
   std::vector<fs::path> gone;
-  for (const char* part : {"sessions", "deletions"})
-    for (auto entry = fs::recursive_directory_iterator(to_ / part, error);
-         !error && entry != fs::recursive_directory_iterator(); entry.increment(error))
-      if (!entry->is_directory(error) && !list_.files.contains(entry->path().lexically_relative(to_).string()))
-        gone.push_back(entry->path());
+  for (const char* part : {"sessions", "deletions"}) {
+    SLX_ASSIGN_OR_RETURN(const std::vector<fs::path> files, FilesUnder(to_ / part));
+    std::ranges::copy_if(files, std::back_inserter(gone), [this](const fs::path& file) {
+      return !list_.files.contains(file.lexically_relative(to_).string());
+    });
+  }
   for (const fs::path& file : gone) {
     if (!fs::remove(file, error)) return Status::Failed("cannot remove " + file.string() + ": " + error.message());
     ++report_->files_removed;

@@ -67,6 +67,18 @@ TEST_F(BackupTest, ASecondOneCopiesOnlyWhatIsNewAndDropsWhatWasForgotten) {
   EXPECT_EQ(Ids(other_), std::vector{second});
 }
 
+// What cannot be listed may hold the faces of forgotten people.
+TEST_F(BackupTest, AFolderOfItThatCannotBeListedFailsIt) {
+  StoreSession(1);
+  ASSERT_TRUE(BackUp().ok());
+  WriteText(backup_ / "deletions", "no folder, which not even root can list");
+  const auto made = BackUp();
+  EXPECT_EQ(made.status().code(), StatusCode::kFailed);
+  EXPECT_THAT(made.status().message(), HasSubstr("cannot list " + (backup_ / "deletions").string()));
+  std::filesystem::remove(backup_ / "deletions");
+  EXPECT_TRUE(BackUp().ok());
+}
+
 // The index is copied first: a forgetting that was entered meanwhile finds its rows, and whose they were, in there.
 TEST_F(BackupTest, WhoIsForgottenWhileItIsMadeLeavesNoPseudonymInIt) {
   const std::string gone = "v-5f3a91c2", stays = "v-77e0b3d4";
