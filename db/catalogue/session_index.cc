@@ -2,6 +2,7 @@
 // Opening, migrating and writing the index; session_index_select.cc asks it.
 #include "db/catalogue/session_index.h"
 
+#include <chrono>
 #include <cstdio>
 #include <cstring>
 #include <mutex>
@@ -10,6 +11,7 @@
 #include <set>
 
 #include "db/base/durable_file.h"
+#include "db/base/retry.h"
 #include "db/catalogue/calibration_store.h"
 #include "db/catalogue/fit_metrics.h"
 #include "db/catalogue/manifest.h"
@@ -48,14 +50,18 @@ bool IsUnborn(const std::filesystem::path& file) {
   return marks.ok() && *marks == 0;
 }
 
-// A whole copy or none, also when an earlier attempt was cut short.
-Status BackUp(Connection& connection, const std::filesystem::path& file) {
+// As long as a large index takes to be copied and migrated by another program.
+constexpr std::chrono::minutes kPatience{1};
+
+// A whole copy or none, also when an earlier attempt was cut short. Through a connection of its own, as the other one
+// is in a transaction, which has changed nothing yet and keeps all others from writing.
+Status BackUp(const std::filesystem::path& index, const std::filesystem::path& file) {
   std::filesystem::path beside = file;
   beside += ".new";
   std::error_code error;
   std::filesystem::remove(beside, error);
-  SLX_ASSIGN_OR_RETURN(auto copy, connection.Prepare("VACUUM INTO ?1"));
-  SLX_RETURN_IF_ERROR(copy.Bind(1, beside.string()).Run());
+  SLX_ASSIGN_OR_RETURN(auto reader, Connection::Open(index, Connection::Mode::kReadOnly));
+  SLX_RETURN_IF_ERROR(reader.CopyInto(beside));
   return KeepFile(beside, file);
 }
 
@@ -148,13 +154,21 @@ Status SessionIndex::CreateNew(const std::filesystem::path& folder) {
   return Create(folder);
 }
 
+// Several programs may find the store of an older one at once: the first to begin a transaction copies and migrates it.
 Status SessionIndex::Migrate(Connection& connection, const std::filesystem::path& folder) {
-  SLX_ASSIGN_OR_RETURN(const int64_t version, connection.QueryInteger("PRAGMA user_version"));
+  return RetryWhileBusy(kPatience, [&] { return MigrateOnce(connection, folder); });
+}
+
+Status SessionIndex::MigrateOnce(Connection& connection, const std::filesystem::path& folder) {
+  SLX_ASSIGN_OR_RETURN(int64_t version, connection.QueryInteger("PRAGMA user_version"));
   if (version == kSchemaVersion) return Status::Ok();
-  if (version > 0) {
-    SLX_RETURN_IF_ERROR(BackUp(connection, folder / ("index-before-" + std::to_string(kSchemaVersion) + ".sqlite")));
-  }
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
+  SLX_ASSIGN_OR_RETURN(version, connection.QueryInteger("PRAGMA user_version"));  // of what nobody changes any more
+  if (version == kSchemaVersion) return Status::Ok();
+  if (version > kSchemaVersion) return NewerIndex(folder, version);
+  if (version > 0)
+    SLX_RETURN_IF_ERROR(
+        BackUp(folder / "index.sqlite", folder / ("index-before-" + std::to_string(kSchemaVersion) + ".sqlite")));
   if (version < 1) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0001));
   if (version < 2) SLX_RETURN_IF_ERROR(connection.Execute(kMigration0002));
   if (version < 3) {

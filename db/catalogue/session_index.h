@@ -71,6 +71,7 @@ class SessionIndex {
  private:
   explicit SessionIndex(Connection connection) : connection_(std::move(connection)) {}
   static Status Migrate(Connection& connection, const std::filesystem::path& folder);
+  static Status MigrateOnce(Connection& connection, const std::filesystem::path& folder);
   // The newest schema without a row, in place of an empty database.
   static Status FillWithSchema(Connection& connection);
   Connection connection_;

@@ -3,7 +3,9 @@
 #include <cstdlib>
 #include <fstream>
 #include <iterator>
+#include <latch>
 #include <sstream>
+#include <thread>
 
 #include <gmock/gmock.h>
 
@@ -15,6 +17,7 @@
 #include "db/catalogue/deletions.h"
 #include "db/catalogue/manifest.h"
 #include "db/catalogue/read_only_index.h"
+#include "db/catalogue/session_index.h"
 #include "db/catalogue/session_store.h"
 #include "db/ledger/old_tombstones.h"
 #include "tests/db/store_fixture.h"
@@ -150,6 +153,41 @@ TEST_F(MigrationTest, MakesABackupOfTheOldIndexFirst) {
   Connection backup = Open(Connection::Mode::kReadOnly, "index-before-" + std::to_string(kSchemaVersion) + ".sqlite");
   EXPECT_EQ(Integer(backup, "PRAGMA user_version"), 1);
   EXPECT_EQ(Contents(backup), before);
+}
+
+// As a rig's programs do that start together behind an update.
+TEST_F(MigrationTest, ProgramsThatOpenItAtOnceMigrateItOnceAndKeepOneWholeCopy) {
+  std::string before;
+  {
+    Connection old = Open(Connection::Mode::kReadOnly);
+    before = Contents(old);
+  }
+  constexpr int kPrograms = 4;
+  for (int round = 0; round < 10; ++round) {
+    const auto store = folder_ / std::to_string(round);
+    std::filesystem::create_directory(store);
+    std::filesystem::copy_file(folder_ / "index.sqlite", store / "index.sqlite");
+    std::latch start(kPrograms);
+    std::vector<Status> opened(kPrograms);
+    {
+      std::vector<std::jthread> programs;
+      for (int i = 0; i < kPrograms; ++i)
+        programs.emplace_back([&, i] {
+          start.arrive_and_wait();
+          const AccessMode mode = i % 2 == 0 ? AccessMode::kReadWrite : AccessMode::kReadOnly;
+          opened[static_cast<size_t>(i)] = SessionIndex::Open(store, mode).status();
+        });
+    }
+    for (const Status& status : opened) EXPECT_TRUE(status.ok()) << status.message();
+    Connection now = Open(Connection::Mode::kReadOnly, std::to_string(round) + "/index.sqlite");
+    EXPECT_EQ(Integer(now, "PRAGMA user_version"), kSchemaVersion);
+    EXPECT_EQ(Contents(now), before);
+    const std::string kept = std::to_string(round) + "/index-before-" + std::to_string(kSchemaVersion) + ".sqlite";
+    Connection copy = Open(Connection::Mode::kReadOnly, kept);
+    EXPECT_EQ(Integer(copy, "PRAGMA user_version"), 1);
+    EXPECT_EQ(Contents(copy), before);
+    EXPECT_FALSE(std::filesystem::exists(folder_ / (kept + ".new")));
+  }
 }
 
 TEST_F(MigrationTest, LeavesTheOldSchemaWhenItFailsHalfWay) {
