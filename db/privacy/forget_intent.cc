@@ -134,6 +134,14 @@ Result<ForgetIntent> IntentFrom(const Json& json) {
   return intent;
 }
 
+Result<std::vector<std::string>> IdsOfIntents(const fs::path& store) {
+  std::vector<std::string> ids;
+  SLX_ASSIGN_OR_RETURN(const std::vector<fs::path> files, EntriesOf(store / "ledger"));
+  for (const fs::path& file : files)
+    if (file.extension() == kIntent) ids.push_back(file.stem().string());
+  return ids;
+}
+
 }  // namespace
 
 ForgottenSession SessionOf(const ForgetIntent& intent) {
@@ -245,11 +253,17 @@ Status TidyIntents(const fs::path& store) {
 
 Result<std::vector<ForgetIntent>> ReadIntents(const fs::path& store) {
   std::vector<ForgetIntent> intents;
-  for (const std::string& id : UnfinishedForgets(store)) {
+  SLX_ASSIGN_OR_RETURN(const std::vector<std::string> ids, IdsOfIntents(store));
+  for (const std::string& id : ids) {
     const fs::path file = IntentFile(store, id);
     const auto read = ReadFile(file);
-    if (read.status().code() == StatusCode::kNotFound) continue;  // another forget has finished it meanwhile
-    if (!read.ok()) return read.status();
+    std::error_code unknown;
+    if (!read.ok() && fs::symlink_status(file, unknown).type() == fs::file_type::not_found)
+      continue;  // another forget has finished it meanwhile
+    if (!read.ok())
+      return Status::Failed(read.status().message() + "; session " + id +
+                            " is not wholly forgotten before this account can read it: run `stratalux-db forget"
+                            " --resume` as who began it, or change the file's owner");
     const std::string& text = *read;
     try {
       auto intent = IntentFrom(Json::parse(text));
@@ -263,12 +277,8 @@ Result<std::vector<ForgetIntent>> ReadIntents(const fs::path& store) {
 }
 
 std::vector<std::string> UnfinishedForgets(const fs::path& store) {
-  std::vector<std::string> ids;
-  const Result<std::vector<fs::path>> files = EntriesOf(store / "ledger");
-  if (!files.ok()) return ids;
-  for (const fs::path& file : *files)
-    if (file.extension() == kIntent) ids.push_back(file.stem().string());
-  return ids;
+  const auto ids = IdsOfIntents(store);
+  return ids.ok() ? *ids : std::vector<std::string>();
 }
 
 }  // namespace stratalux::db

@@ -54,6 +54,7 @@ Status WriteIntent(const std::filesystem::path& store, const ForgetIntent& inten
 Status WipeIntent(const std::filesystem::path& store, const std::string& session_id);
 // Wipes what a program that was killed in the midst of a write or a wipe left of intents. Under the write lock.
 Status TidyIntents(const std::filesystem::path& store);
+// kFailed, with what to do, where one is there and cannot be read; kIntegrity for a damaged one.
 [[nodiscard]] Result<std::vector<ForgetIntent>> ReadIntents(const std::filesystem::path& store);
 
 }  // namespace stratalux::db

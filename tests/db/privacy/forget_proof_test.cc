@@ -53,6 +53,27 @@ TEST_F(ForgetHalves, TheFirstHalfReadsNothingOfOtherSessions) {
   ExpectGone(traces, kVisitor);
 }
 
+// As another account's, whose mode forbids it: a loop of links stops root, too.
+TEST_F(ForgetHalves, ABegunForgettingThatCannotBeReadIsNotTakenForDone) {
+  const std::string id = Visit(kVisitor, 1, Encryption::kNone);
+  WriteText(folder_ / "notes.txt", "nice face in " + id + "\n");
+  EXPECT_EQ(ForgetNow({id})->leftovers.size(), 1U);
+  fs::remove(folder_ / "notes.txt");
+  const fs::path intent = folder_ / "ledger" / (id + ".forgetting"), aside = exports_ / "intent";
+  fs::create_directories(exports_);
+  fs::copy(intent, aside);
+  fs::remove(intent);
+  fs::create_symlink(intent.filename(), intent);
+  const auto refused = ForgetNow({});
+  EXPECT_EQ(refused.status().code(), StatusCode::kFailed);
+  EXPECT_THAT(refused.status().message(), ::testing::HasSubstr(intent.string()));
+  EXPECT_THAT(refused.status().message(), ::testing::HasSubstr("--resume"));
+  fs::remove(intent);
+  fs::copy(aside, intent);
+  EXPECT_THAT(ForgetNow({})->leftovers, IsEmpty());
+  EXPECT_EQ(CertificateOf(id)["verification"]["clean"], true);
+}
+
 TEST_F(ForgetHalves, ASearchThatIsEndedCertifiesNothingAndIsMadeAgain) {
   const std::string id = Visit(kVisitor, 1, Encryption::kPerSession);
   const Traces traces = TracesOf(id);
