@@ -16,12 +16,14 @@
 #include "db/keys/key_store.h"
 #include "db/privacy/export_marker.h"
 #include "db/privacy/forget_intent.h"
+#include "shared/base/json_number.h"
 #include "shared/base/read_file.h"
 
 namespace stratalux::db {
 namespace {
 
 using Json = nlohmann::ordered_json;
+constexpr int64_t kSchema = 1;
 
 Result<KeyId> KeyIdFrom(const std::string& hex) {
   SLX_ASSIGN_OR_RETURN(const auto bytes, FromHex(hex));
@@ -71,7 +73,7 @@ Status ExportKeyFile(const std::filesystem::path& store, const SessionRow& sessi
   std::string secret(2 * key.key->bytes.size() + 1, '\0');
   sodium_bin2hex(secret.data(), secret.size(), key.key->bytes.data(), key.key->bytes.size());
   secret.pop_back();
-  const Json json = {{"schema", 1}, {"session", session.info.id}, {"key_id", session.key_id}, {"key", secret}};
+  const Json json = {{"schema", kSchema}, {"session", session.info.id}, {"key_id", session.key_id}, {"key", secret}};
   std::error_code error;
   if (std::filesystem::exists(std::filesystem::symlink_status(file, error)))
     return Status::Usage(file.string() + " is there already; choose another name, or move it away");
@@ -87,14 +89,19 @@ Result<std::string> ImportKeyFile(const std::filesystem::path& store, const std:
   SessionKey key;
   try {
     const Json json = Json::parse(text);
+    const auto schema = WholeAt<int64_t>(json, "schema");
+    if (schema < 1 || schema > kSchema)
+      return Status(StatusCode::kNewerSchema, file.string() + ": schema " + std::to_string(schema) +
+                                                  " is newer than this program's; use a newer stratalux");
     json.at("session").get_to(session);
     SLX_ASSIGN_OR_RETURN(key, KeyFrom(json).WithContext(file.string()));
   } catch (const nlohmann::json::exception&) {
     return Status::Integrity(file.string() + " is no key file of `stratalux-db key export`");
   }
   SLX_RETURN_IF_ERROR(SessionStore::Open(store, AccessMode::kReadOnly).status());
-  SLX_RETURN_IF_ERROR(RefuseForgotten(store, session));
+  // Under the lock, which a forgetting takes as well: behind it nobody would look for the key again.
   SLX_ASSIGN_OR_RETURN(const auto lock, WriteLock::Take(store));
+  SLX_RETURN_IF_ERROR(RefuseForgotten(store, session));
   SLX_RETURN_IF_ERROR(ImportKey(store, key));
   return session;
 }
