@@ -197,8 +197,9 @@ Result<bool> AdoptFit(const fs::path& store, const std::string& session, const f
   SLX_ASSIGN_OR_RETURN(const bool listed, IsListed(store, session, id));
   const fs::path place = FitsOf(store, session) / id;
   std::error_code error;
-  if (listed && fs::exists(place, error)) return false;
-  if (fs::exists(place / kFitRecordFile, error)) {
+  const bool recorded = fs::exists(place / kFitRecordFile, error);
+  if (listed && recorded) return false;
+  if (recorded) {
     // Moved by an adoption, or written by a registration, that ended before its row.
     if (const auto fit = ReadProvenFit(place, session); fit.ok()) {
       SLX_RETURN_IF_ERROR(SyncFit(place));

@@ -19,7 +19,8 @@ namespace stratalux::db {
 Status RegisterFit(const std::filesystem::path& store, FitRow fit, const RegisterOptions& options = {});
 
 // A fit made elsewhere: `fit_folder` (on the store's disk, named as the fit, not among fits/) is held against its
-// fit.json, moved into place, and listed. True where it is new here. Adopting it again changes nothing and leaves
+// fit.json, moved into place, and listed. True where it is new here, or
+// was listed and had lost its fit.json. Adopting it again changes nothing and leaves
 // `fit_folder` as it is; where an adoption was broken off behind the move, it is continued, without `fit_folder` too.
 // kIntegrity: no fit.json, of another session or fit, files missing or not what it says, links; nothing is moved then.
 [[nodiscard]] Result<bool> AdoptFit(const std::filesystem::path& store, const std::string& session,

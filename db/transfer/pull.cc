@@ -68,7 +68,7 @@ class Puller {
   Status SayDoubts(const std::string& id);
   Status TakeKeys(const Offer& offer);
   Status TakeFits(const Offer& offer);
-  Status TakeFit(const std::string& session, const std::string& fit);
+  Result<bool> TakeFit(const std::string& session, const std::string& fit);
   [[nodiscard]] bool InTime() const;
   [[nodiscard]] Status OutOfTime(const std::string& how_far) const;
 
@@ -235,10 +235,11 @@ Status Puller::TakeKeys(const Offer& offer) {
   return Status::Ok();
 }
 
-Status Puller::TakeFit(const std::string& session, const std::string& fit) {
+// True where it was not whole here.
+Result<bool> Puller::TakeFit(const std::string& session, const std::string& fit) {
   const fs::path incoming = IncomingFits(store_, session) / fit;
   SLX_RETURN_IF_ERROR(ForTheSource([&] { return catalogue_.Copy("sessions/" + session + "/fits/" + fit, incoming); }));
-  return AdoptFit(store_, session, incoming).status();
+  return AdoptFit(store_, session, incoming);
 }
 
 // Fits and calibrations that were made at the source after the session had come here.
@@ -253,14 +254,14 @@ Status Puller::TakeFits(const Offer& offer) {
       report_.fits.push_back(name);
       continue;
     }
-    const Status taken = TakeFit(offer.id, fit);
-    if (IsTroubleOfAll(taken)) return taken;
+    const auto taken = TakeFit(offer.id, fit);
+    if (IsTroubleOfAll(taken.status())) return taken.status();
     if (taken.ok()) {
-      report_.fits.push_back(name);
-    } else if (taken.code() == StatusCode::kUsage) {  // consent
-      report_.notes.push_back("fit " + name + " was not taken: " + taken.message());
+      if (*taken) report_.fits.push_back(name);
+    } else if (taken.status().code() == StatusCode::kUsage) {  // consent
+      report_.notes.push_back("fit " + name + " was not taken: " + taken.status().message());
     } else {
-      report_.problems.push_back("fit " + name + " was not taken: " + taken.message());
+      report_.problems.push_back("fit " + name + " was not taken: " + taken.status().message());
     }
   }
   return dry() ? Status::Ok() : WipeFolder(IncomingFits(store_, offer.id));

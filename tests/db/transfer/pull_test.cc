@@ -356,6 +356,13 @@ TEST_F(PullTest, LaterFitsFollow) {
   EXPECT_THAT(*store->ListFits(id), SizeIs(1));
   EXPECT_EQ(ReadBytes(store->FitFolder(id, "f1") / "map.bin").size(), 5U);
   EXPECT_THAT(PullHere()->fits, IsEmpty());
+  // Listed, and its record lost: whole again once, and no more said to be.
+  const std::filesystem::path record = store->FitFolder(id, "f1") / "fit.json";
+  std::filesystem::remove(record);
+  EXPECT_THAT(PullHere()->fits, ElementsAre(id + "/f1"));
+  EXPECT_TRUE(std::filesystem::exists(record));
+  EXPECT_THAT(PullHere()->fits, IsEmpty());
+  EXPECT_EQ(Ids(other_), std::vector{id});
   EXPECT_THAT(ListIncoming(other_), IsEmpty());
 }
 
