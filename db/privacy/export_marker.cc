@@ -123,6 +123,8 @@ const char* ToString(ExportState state) {
       return "on another machine";
     case ExportState::kNotThere:
       return "no export there any more";
+    case ExportState::kNoFolder:
+      return "its folder is not there (a disk that is not mounted?)";
     case ExportState::kKept:
       break;
   }
@@ -158,12 +160,17 @@ Result<bool> IsExportThere(const fs::path& folder, const std::string& session_id
   return false;
 }
 
+ExportState StateWithoutMarker(const fs::path& folder) {
+  std::error_code error;
+  return fs::exists(folder, error) ? ExportState::kNotThere : ExportState::kNoFolder;
+}
+
 Result<ExportState> RemoveExport(const std::string& place, const std::string& session_id) {
   const auto folder = LocalFolder(place);
   if (!folder) return ExportState::kElsewhere;
   const fs::path marker = ExportMarker(*folder, session_id);
   SLX_ASSIGN_OR_RETURN(const bool there, IsExportThere(*folder, session_id));
-  if (!there) return ExportState::kNotThere;
+  if (!there) return StateWithoutMarker(*folder);
   SLX_ASSIGN_OR_RETURN(const auto files, ReadMarker(marker, session_id));
   std::error_code error;
   std::set<fs::path> folders;

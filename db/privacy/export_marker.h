@@ -39,13 +39,17 @@ Status WriteExport(const std::filesystem::path& store, const std::string& action
 [[nodiscard]] std::string ExportPlace(const std::filesystem::path& folder);
 [[nodiscard]] std::optional<std::filesystem::path> LocalFolder(const std::string& place);
 
-enum class ExportState { kDeleted, kElsewhere, kNotThere, kKept };
-// "deleted", "on another machine", "no export there any more", "could not be deleted".
+// kNoFolder: not even the folder is there, which may lie on a disk that is not mounted.
+enum class ExportState { kDeleted, kElsewhere, kNotThere, kNoFolder, kKept };
+// "deleted", "on another machine", "no export there any more", "its folder is not there (a disk that is not mounted?)",
+// "could not be deleted".
 [[nodiscard]] const char* ToString(ExportState state);
 
 // Whether the folder has the session's marker. kFailed where that cannot be seen: no permission, or a unit of systemd
 // has another /tmp or no /home.
 [[nodiscard]] Result<bool> IsExportThere(const std::filesystem::path& folder, const std::string& session_id);
+// What is said of one whose marker is not there: kNotThere or kNoFolder.
+[[nodiscard]] ExportState StateWithoutMarker(const std::filesystem::path& folder);
 // The mount point that hides the folder from this process, as systemd makes it so: by the text of
 // /proc/self/mountinfo. Empty: none does.
 [[nodiscard]] std::string HiddenBy(const std::string& mountinfo, const std::filesystem::path& folder);

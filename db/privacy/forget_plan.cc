@@ -13,7 +13,7 @@ ForgottenExport PlanExport(const std::string& place, const std::string& session_
   if (!folder) return {place, ExportState::kElsewhere};
   const auto there = IsExportThere(*folder, session_id);
   if (!there.ok()) return {place, ExportState::kKept};
-  return {place, *there ? ExportState::kDeleted : ExportState::kNotThere};
+  return {place, *there ? ExportState::kDeleted : StateWithoutMarker(*folder)};
 }
 
 Result<ForgetReport> PlanForget(const fs::path& store, const ForgetRequest& request) {

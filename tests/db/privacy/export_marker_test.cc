@@ -4,6 +4,7 @@
 
 #include <gmock/gmock.h>
 
+#include "db/privacy/forget.h"
 #include "tests/db/store_fixture.h"
 
 namespace stratalux::db {
@@ -27,7 +28,13 @@ class ExportMarkerTest : public StoreTest {
 TEST_F(ExportMarkerTest, DeletesItsFilesAndTheFolderTheyMade) {
   EXPECT_EQ(*RemoveExport(ExportPlace(out_), "s000001-0badcafe"), ExportState::kDeleted);
   EXPECT_FALSE(fs::exists(out_));
+  // Nor is it known to be gone: the folder may lie on a disk that is not mounted.
+  EXPECT_EQ(*RemoveExport(ExportPlace(out_), "s000001-0badcafe"), ExportState::kNoFolder);
+  EXPECT_EQ(PlanExport(ExportPlace(out_), "s000001-0badcafe").state, ExportState::kNoFolder);
+  EXPECT_STREQ(ToString(ExportState::kNoFolder), "its folder is not there (a disk that is not mounted?)");
+  fs::create_directory(out_);
   EXPECT_EQ(*RemoveExport(ExportPlace(out_), "s000001-0badcafe"), ExportState::kNotThere);
+  EXPECT_EQ(PlanExport(ExportPlace(out_), "s000001-0badcafe").state, ExportState::kNotThere);
 }
 
 // The folder is named before it is made, and by whoever stands elsewhere later.
