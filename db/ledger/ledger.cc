@@ -134,7 +134,7 @@ namespace {
 Status AddFolder(const fs::path& folder, LedgerReader& reader) {
   SLX_ASSIGN_OR_RETURN(const std::vector<ChainFile> chains, ListChains(folder));
   const auto own = StoreIdIn(folder);
-  if (own.status().code() == StatusCode::kIntegrity) reader.Problem(own.status().message());
+  if (!own.ok() && own.status().code() != StatusCode::kNotFound) reader.Problem(own.status().message());
   for (const ChainFile& chain : chains) {
     const bool is_own = own.ok() && chain.path.stem() == *own;
     if (chain.path.stem() != chain.store_id)

@@ -98,7 +98,8 @@ Status AppendToLedger(const std::filesystem::path& store, const LedgerEntry& ent
 // Ledger::Read(that store) has them.
 [[nodiscard]] Result<LedgerMerge> MergeLedger(const std::filesystem::path& store, const std::filesystem::path& folder);
 
-// 32 hex digits; made with the store, the same for ever. kNotFound where the store has no chain of its own yet.
+// 32 hex digits; made with the store, the same as long as its file is there and sound. kNotFound where the store has no
+// id yet, kIntegrity where it is damaged, kFailed where it cannot be read.
 [[nodiscard]] Result<std::string> StoreId(const std::filesystem::path& store);
 // Makes it where there is none.
 Status MakeStoreId(const std::filesystem::path& store);

@@ -153,7 +153,8 @@ Result<std::string> ReadChain(const fs::path& file) {
 
 Result<std::string> OwnStoreId(const fs::path& store) {
   auto id = StoreId(store);
-  if (id.ok()) return id;
+  const bool none = id.status().code() == StatusCode::kNotFound || id.status().code() == StatusCode::kIntegrity;
+  if (!none) return id;
   if (sodium_init() < 0) return Status::Failed("libsodium finds no source of random numbers");
   uint8_t bytes[kIdDigits / 2];
   randombytes_buf(bytes, sizeof bytes);
@@ -187,7 +188,11 @@ Status AppendLocked(const fs::path& store, const std::vector<LedgerEntry>& entri
 
 Result<std::string> StoreIdIn(const fs::path& folder) {
   const fs::path file = folder / "store.id";
-  SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  std::error_code error;
+  const auto read = ReadFile(file);
+  if (!read.ok() && fs::symlink_status(file, error).type() != fs::file_type::not_found)
+    return Status::Failed(read.status().message() + "; let this account read it: the store keeps its id");
+  SLX_ASSIGN_OR_RETURN(const std::string text, read);
   if (text.size() != kIdDigits + 1 || text.back() != '\n' || !IsHex(text.substr(0, kIdDigits), kIdDigits))
     return Status::Integrity(
         file.string() + " holds no store id; the next entry makes a new one (what the old chain says still binds)");

@@ -29,10 +29,11 @@ inline constexpr int64_t kMostChainBytes = int64_t{1} << 30;
 // kIntegrity where it is no regular file: no chain, then. kFailed, with what to do, where it is one and cannot be read.
 [[nodiscard]] Result<std::string> ReadChain(const std::filesystem::path& file);
 
-// What LEDGER/store.id says. kNotFound where there is none, kIntegrity for other bytes.
+// What LEDGER/store.id says. kNotFound where there is none, kIntegrity for other bytes, kFailed where it is there and
+// cannot be read.
 [[nodiscard]] Result<std::string> StoreIdIn(const std::filesystem::path& folder);
 // Under the lock: the id in LEDGER/store.id, made where there is none. A damaged one is replaced by a fresh id: the
-// chain it named stays, and binds.
+// chain it named stays, and binds. kFailed, with the old one kept, where it cannot be read.
 [[nodiscard]] Result<std::string> OwnStoreId(const std::filesystem::path& store);
 
 // Under the lock: all of them with one write and one sync, or none.

@@ -60,6 +60,27 @@ TEST_F(LedgerTest, KeepsItsStoreIdForEver) {
   EXPECT_NE(*StoreId(other), id);
 }
 
+// As another account's, whose mode forbids it: a loop of links stops root, too.
+TEST_F(LedgerTest, AStoreIdThatCannotBeReadIsNotDrawnAnew) {
+  ASSERT_TRUE(Append(store_, LedgerKind::kForgetting, "s1").ok());
+  const std::string old = *StoreId(store_);
+  const fs::path file = store_ / "ledger" / "store.id";
+  fs::remove(file);
+  fs::create_symlink(file.filename(), file);
+  for (const Status& status :
+       {StoreId(store_).status(), MakeStoreId(store_), Append(store_, LedgerKind::kNote, "s2")}) {
+    EXPECT_EQ(status.code(), StatusCode::kFailed) << status.message();
+    EXPECT_THAT(status.message(), HasSubstr(file.string()));
+  }
+  EXPECT_THAT(ReadOf(store_).problems(), ElementsAre(HasSubstr(file.string())));
+  EXPECT_TRUE(ReadOf(store_).IsForgotten("s1"));
+  fs::remove(file);
+  WriteText(file, old + "\n");
+  ASSERT_TRUE(Append(store_, LedgerKind::kForgetting, "s2").ok());
+  EXPECT_EQ(*StoreId(store_), old);
+  EXPECT_THAT(ReadOf(store_).problems(), IsEmpty());
+}
+
 TEST_F(LedgerTest, ADamagedStoreIdBeginsAChainBesideTheOld) {
   ASSERT_TRUE(Append(store_, LedgerKind::kForgetting, "s1").ok());
   const std::string old = *StoreId(store_);
