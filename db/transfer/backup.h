@@ -38,8 +38,9 @@ struct BackupReport {
 // The index as one transaction sees it (VACUUM INTO), every file of the finished sessions it lists, the ledger; last
 // backup.json with size and hash of each. What is new or changed is verified frame by frame before it is copied: a
 // damaged session is a problem of its own, its last good copy stays, the others are copied. An unchanged file (size and
-// time) is not copied again. Keys are never in it: with them a forgotten session would come back. kFailed where the
-// backup cannot be written: the one before stays valid, and the next run goes on.
+// time) is not copied again. Keys are never in it: with them a forgotten session would come back. A session
+// that changes while it is copied is copied again, once. kFailed where the backup cannot be written, or a chain of the
+// ledger not be read: the one before stays valid, and the next run goes on.
 [[nodiscard]] Result<BackupReport> Backup(const std::filesystem::path& store, const BackupOptions& options,
                                           Logger& logger);
 
@@ -68,7 +69,7 @@ struct RestoreReport {
 // those of the backup, from whose index the rows of other sessions go; an index that is damaged is built again from the
 // folders. kMerge: sessions that the store does not have come in behind those it has. The ledgers of the backup and of
 // `options.ledger` are taken over: what they forget stays away, what they withdraw is withdrawn. An interrupted restore
-// is continued.
+// is continued: kBusy while a program has the index open that it left.
 [[nodiscard]] Result<RestoreReport> Restore(const std::filesystem::path& from, const std::filesystem::path& store,
                                             const RestoreOptions& options, Logger& logger);
 

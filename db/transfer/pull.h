@@ -49,7 +49,8 @@ struct PullReport {
 // against rsync's checksums, and only then moved into place and listed; later fits and sealed keys of sessions that are
 // here follow. Of a session that the source has forgotten the sealed keys go, also where it stays. A
 // session that fails is a problem of its own, so is a fit, which is left out; the others come. kNotFound: no store
-// there, no rsync here; kFailed: no contact, no space; kBusy: another transfer, or a session is being written.
+// there, no rsync here; kFailed: no contact, no space, a chain of the ledger that cannot be read; kBusy: another
+// transfer, or a session is being written.
 [[nodiscard]] Result<PullReport> Pull(const std::filesystem::path& store, const std::string& from,
                                       const PullOptions& options, Logger& logger);
 
