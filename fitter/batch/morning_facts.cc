@@ -48,6 +48,18 @@ bool Says(const SortedJson& json, const char* key, const char* value) {
   return json.contains(key) && json[key].is_string() && json[key].get<std::string>() == value;
 }
 
+// Of the skin that the light truly reaches, or, of a real capture, of what the surface and the mask take for it.
+std::optional<double> JudgedShare(const SortedJson& coverage) {
+  const auto judged = Number(coverage, "judged"), lit = Number(coverage, "lit_skin");
+  if (!judged) return std::nullopt;
+  double all = lit.value_or(0.0);
+  if (!(all > 0.0)) {
+    all = *judged;
+    for (const char* lost : {"unlit", "not_fitted", "not_separated"}) all += Number(coverage, lost).value_or(0.0);
+  }
+  return all > 0.0 ? std::optional(*judged / all) : std::nullopt;
+}
+
 std::vector<SlowStage> SlowStages(const std::vector<Figures>& tonight, const std::vector<Figures>& earlier) {
   std::map<std::string, std::vector<double>> now, before;
   for (const Figures& one : tonight)
@@ -65,13 +77,17 @@ std::vector<SlowStage> SlowStages(const std::vector<Figures>& tonight, const std
 Figures FiguresOf(const std::string& metrics_json) {
   const SortedJson json = Parsed(metrics_json);
   Figures figures;
-  for (const SortedJson& one : Objects(json, "prediction"))
-    if (Says(one, "light", "stripe") && Says(one, "model", "tied") && Says(one, "geometry", "reconstructed"))
-      if (const auto error = Number(one, "nrmse_without_noise")) figures["error of stripes, %"] = 100.0 * *error;
-  for (const SortedJson& one : Objects(json, "coverage")) {
-    const auto judged = Number(one, "judged"), lit = Number(one, "lit_skin");
-    if (judged && lit && *lit > 0.0) figures["coverage, %"] = 100.0 * *judged / *lit;
+  // The figure that every fit has, of the projector that it held out: those of others follow (--full-evaluation).
+  for (const SortedJson& one : Objects(json, "prediction")) {
+    if (!Says(one, "light", "stripe") || !Says(one, "model", "tied") || !Says(one, "geometry", "reconstructed") ||
+        !Says(one, "part", "total") || !Says(one, "direct", "predicted"))
+      continue;
+    if (const auto error = Number(one, "nrmse_without_noise"))
+      figures.try_emplace("error of stripes, %", 100.0 * *error);
   }
+  for (const SortedJson& one : Objects(json, "coverage"))
+    if (const auto share = JudgedShare(one); share && Says(one, "geometry", "reconstructed"))
+      figures.try_emplace("coverage, %", 100.0 * *share);
   if (json.is_object() && json.contains("fit"))
     if (const auto divergence = Number(json["fit"], "divergence")) figures["divergence"] = *divergence;
   if (json.is_object() && json.contains("drift"))

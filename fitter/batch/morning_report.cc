@@ -61,13 +61,16 @@ std::string DiskText(const MorningFacts& facts) {
   return text;
 }
 
-ReportTable FailureTable(const NightStatus& night) {
+// `folder`: of the night, with the workers' logs; a merged one has none, nor who never began.
+ReportTable FailureTable(const NightStatus& night, const fs::path& folder) {
   ReportTable table{"Failed, and why", {"session", "state", "attempts", "reason"}, {}};
   for (const NightVisit& visit : night.visits) {
     if (visit.kind == NightEventKind::kDone) continue;
     table.rows.push_back(
         {visit.session, ToString(visit.kind), std::to_string(visit.attempts), PrintableLines(visit.reason)});
-    table.links.push_back(Formatted("%s-%d.log", visit.session.c_str(), visit.attempts));
+    const std::string log = Formatted("%s-%d.log", visit.session.c_str(), visit.attempts);
+    std::error_code error;
+    table.links.push_back(fs::exists(folder / log, error) ? log : "");
   }
   return table;
 }
@@ -194,8 +197,8 @@ MorningReport ReportOf(const MorningFacts& facts, const fs::path& store) {
   report.text = report.page.title + "\n" + Headline(facts) + "\nDisk: " + DiskText(facts) + "\n";
   if (facts.unread > 0) report.text += Formatted("%d lines of the night's log could not be read\n", facts.unread);
   ReportSection sorrows{"To look at", "", {}, {}, {}};
-  for (ReportTable& table :
-       std::vector<ReportTable>{FailureTable(facts.night), OutlierTable(facts), LeftOutTable(facts.night)}) {
+  for (ReportTable& table : std::vector<ReportTable>{FailureTable(facts.night, facts.folder), OutlierTable(facts),
+                                                     LeftOutTable(facts.night)}) {
     if (table.rows.empty()) continue;
     report.text += "\n" + TableText(table);
     sorrows.tables.push_back(std::move(table));

@@ -37,7 +37,7 @@ NightStatus StatusOf(const std::vector<NightEvent>& events) {
         if (!event.fit.empty()) visit.fit = event.fit;
         visit.kind = event.kind;
         visit.at = event.at;
-        visit.attempts += event.kind == NightEventKind::kStarted ? 1 : 0;
+        visit.attempts = std::max(visit.attempts, event.attempt);
         visit.peak_bytes = std::max(visit.peak_bytes, event.peak_bytes);
         if (event.kind == NightEventKind::kStarted) break;
         visit.seconds = event.seconds;

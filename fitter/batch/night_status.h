@@ -15,7 +15,7 @@ namespace stratalux::fit {
 struct NightVisit {
   std::string session = {}, fit = {};
   NightEventKind kind = NightEventKind::kStarted;
-  int attempts = 0;  // of tonight
+  int attempts = 0;  // the last one, of all nights: the queue counts on, and names worker logs by it
   WallNs at = {};
   double seconds = 0.0, cpu_seconds = 0.0;  // of the attempt that ended it
   int64_t peak_bytes = 0;                   // the most of its attempts

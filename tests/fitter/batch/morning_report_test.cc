@@ -15,12 +15,25 @@ using ::testing::IsEmpty;
 using ::testing::Not;
 using ::testing::SizeIs;
 
+std::string Row(const char* light, const char* model, const char* geometry, const char* part, const char* direct,
+                double error) {
+  return std::string(R"({"light": ")") + light + R"(", "model": ")" + model + R"(", "geometry": ")" + geometry +
+         R"(", "part": ")" + part + R"(", "direct": ")" + direct + R"(", "nrmse_without_noise": )" +
+         std::to_string(error) + "}";
+}
+
+// As a full evaluation writes them: of the projector that the fit held out first, then of another.
 std::string Metrics(double error, double divergence = 0.003) {
-  return R"({"prediction": [{"light": "white", "model": "tied", "geometry": "reconstructed", "nrmse_without_noise": 9},
-    {"light": "stripe", "model": "mean", "geometry": "reconstructed", "nrmse_without_noise": 8},
-    {"light": "stripe", "model": "tied", "geometry": "truth", "nrmse_without_noise": 7},
-    {"light": "stripe", "model": "tied", "geometry": "reconstructed", "nrmse_without_noise": )" +
-         std::to_string(error) + R"(}], "coverage": [{"judged": 30, "lit_skin": 40}], "fit": {"divergence": )" +
+  return R"({"prediction": [)" + Row("white", "tied", "reconstructed", "total", "predicted", 9) + "," +
+         Row("stripe", "mean", "reconstructed", "total", "predicted", 8) + "," +
+         Row("stripe", "tied", "truth", "total", "predicted", 7) + "," +
+         Row("stripe", "tied", "reconstructed", "total", "predicted", error) + "," +
+         Row("stripe", "tied", "reconstructed", "total", "separated", 6) + "," +
+         Row("stripe", "tied", "reconstructed", "subsurface", "separated", 5) + "," +
+         Row("stripe", "tied", "reconstructed", "total", "predicted", 4) +
+         R"(], "coverage": [{"judged": 30, "lit_skin": 40, "geometry": "reconstructed"},
+    {"judged": 10, "lit_skin": 40, "geometry": "reconstructed"}, {"judged": 5, "lit_skin": 40, "geometry": "truth"}],
+    "fit": {"divergence": )" +
          std::to_string(divergence) + R"(}, "drift": {"projectors": [{"shift_px": 0.25}, {"shift_px": 0.5}, {}]},
     "stages": [{"name": "srd", "cpu_seconds": 2}, {"name": "fit", "cpu_seconds": 5}, {"name": "fit", "cpu_seconds": 1}]})";
 }
@@ -30,6 +43,13 @@ TEST(FiguresOf, AreTheJudgedModelsOnTheReconstructedSurface) {
   EXPECT_EQ(figures,
             (Figures{{"error of stripes, %", 4.0}, {"coverage, %", 75.0}, {"divergence", 0.003}, {"drift, px", 0.5}}));
   EXPECT_EQ(StageSecondsOf(Metrics(0.04)), (Figures{{"srd", 2.0}, {"fit", 6.0}}));
+}
+
+// Nobody knows what of a real face the light truly reaches.
+TEST(FiguresOf, CoverageOfARealCaptureIsOfTheSurfaceThatCounts) {
+  const Figures figures = FiguresOf(R"({"coverage": [{"judged": 60, "lit_skin": 0, "geometry": "reconstructed",
+    "unlit": 20, "not_fitted": 15, "not_separated": 5, "not_skin": 900, "in_shadow": 90}]})");
+  EXPECT_EQ(figures, (Figures{{"coverage, %", 60.0}}));
 }
 
 TEST(FiguresOf, WhatIsNotThereOrOfAnotherFormIsLeftOut) {
@@ -95,8 +115,11 @@ TEST_F(MorningReportTest, SaysWhoWasFittedWhoNotWhoIsStrangeAndHowLongTheDiskLas
          .seconds = 12,
          .cpu_seconds = 20});
   }
-  add({.kind = NightEventKind::kStarted, .session = bad, .fit = "f2", .attempt = 1});
-  add({.kind = NightEventKind::kFailed, .session = bad, .attempt = 1, .reason = "no <light>\x1b[2J"});
+  // The queue counts on from an earlier night, and names logs by that; of whom no worker began there is none.
+  add({.kind = NightEventKind::kStarted, .session = bad, .fit = "f2", .attempt = 2});
+  add({.kind = NightEventKind::kFailed, .session = bad, .attempt = 2, .reason = "no <light>\x1b[2J"});
+  add({.kind = NightEventKind::kFailed, .session = "s9-no-key", .reason = "no key"});
+  WriteText(log->WorkerLog(bad, 2), "log");
   add({.kind = NightEventKind::kEnded, .seconds = 24});
 
   const auto facts = GatherMorning(folder_, log->folder().filename().string());
@@ -113,13 +136,15 @@ TEST_F(MorningReportTest, SaysWhoWasFittedWhoNotWhoIsStrangeAndHowLongTheDiskLas
   ASSERT_TRUE(page.ok()) << page.status().message();
   const std::string html = ReadText(*page), text = ReadText(page->parent_path() / "report.txt");
   for (const std::string& said : {html, text}) {
-    EXPECT_THAT(said, HasSubstr("2 of 3 visitors fitted, 1 failed; 1 figures to look at."));
+    EXPECT_THAT(said, HasSubstr("2 of 3 visitors fitted, 2 failed; 1 figures to look at."));
     EXPECT_THAT(said, HasSubstr("s9-consent"));
     EXPECT_THAT(said, Not(HasSubstr("s9-complete"))) << "many, and nobody's worry";
     EXPECT_THAT(said, Not(HasSubstr("\x1b")));
   }
   EXPECT_THAT(html, HasSubstr("<a href=\"../../sessions/" + good + "/fits/f1/report/index.html\">"));
-  EXPECT_THAT(html, HasSubstr("<a href=\"" + bad + "-1.log\">"));
+  EXPECT_THAT(html, HasSubstr("<a href=\"" + bad + "-2.log\">"));
+  EXPECT_THAT(html, HasSubstr("s9-no-key"));
+  EXPECT_THAT(html, Not(HasSubstr("s9-no-key-"))) << "a link to a log that is not there";
   EXPECT_THAT(html, Not(HasSubstr("no <light>")));
   EXPECT_THAT(text, HasSubstr(strange + "  error of stripes, %  9.000"));
 }
