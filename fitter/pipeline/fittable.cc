@@ -14,13 +14,14 @@ Status RequireFittable(const SessionFrames& frames, const RunOptions& options) {
   if (projectors != frames.plan()->projectors)
     return Status::Usage(where + ": its calibration has " + std::to_string(projectors) + " projectors, its plan " +
                          std::to_string(frames.plan()->projectors));
-  if (options.heldout >= projectors)
-    return Status::Usage("held-out projector " + std::to_string(options.heldout) + " does not exist; allowed: 0 .. " +
-                         std::to_string(projectors - 1));
-  if (projectors < 2 && options.until >= Stage::kFit)
+  if (options.until < Stage::kFit) return Status::Ok();  // nothing is held out
+  if (projectors < 2)
     return Status::Usage(where +
                          " has one projector only: the layers are fitted on all projectors but the held-out one, so "
                          "two are needed at least (`stratalux-fit srd` works with one)");
+  if (options.heldout >= projectors)
+    return Status::Usage("held-out projector " + std::to_string(options.heldout) + " does not exist; allowed: 0 .. " +
+                         std::to_string(projectors - 1));
   return Status::Ok();
 }
 

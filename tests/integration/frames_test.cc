@@ -163,6 +163,12 @@ TEST_F(Frames, ARigOfTwoProjectorsIsFitted) {
   const Json metrics = MetricsOf(two, Printed(fitted.out).at("fit").get<std::string>());
   EXPECT_EQ(metrics.at("prediction").at(0).at("projector"), 1);
   EXPECT_TRUE(metrics.at("prediction").at(0).at("nrmse").is_number());
+  // Stages before the fit hold nothing out, so projector 3, which the default would, need not be there.
+  const Outcome srds = Fit(two, "srd latest --dry-run");
+  EXPECT_EQ(srds.code, 0) << srds.out;
+  const Outcome whole = Fit(two, "run latest --dry-run");
+  EXPECT_EQ(whole.code, 2);
+  EXPECT_THAT(whole.out, HasSubstr("allowed: 0 .. 1"));
 }
 
 }  // namespace
