@@ -64,7 +64,7 @@ class Trials {
   }
 
   // [pixel] Negative log posterior of each pixel's layers, all colours together, on the surface that codes at
-  // `depth_mm` leave, with the mean layers of these pixels there; NaN where a colour could not be fitted.
+  // `depth_mm` leave, with the mean layers of some of these pixels there; NaN where a colour could not be fitted.
   [[nodiscard]] Result<std::vector<double>> CostsAt(double depth_mm) const {
     std::vector<SrdBatch> moved = batches_;
     std::vector<const SrdBatch*> lights;
@@ -72,7 +72,9 @@ class Trials {
       MoveSurface(batch, channels_, displacement_, -depth_mm);
       lights.push_back(&batch);
     }
-    SLX_ASSIGN_OR_RETURN(const auto mean, MeanLayers(lights, channels_, options_, 1));
+    // As many as the search itself takes say what skin is like; all of them would cost as much as the fit.
+    const int every = std::max(1, static_cast<int>(static_cast<int64_t>(pixels_) / kPixelsOfSearch));
+    SLX_ASSIGN_OR_RETURN(const auto mean, MeanLayers(lights, channels_, options_, every));
     SLX_ASSIGN_OR_RETURN(const auto fit,
                          FitTraced(lights, projectors_, static_cast<int>(pixels_), 1, channels_, options_, mean));
     std::vector<double> costs(pixels_, 0.0);

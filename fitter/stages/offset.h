@@ -15,7 +15,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kOffsetVersion = 8, kPlacedShapeVersion = 6;
+inline constexpr int kOffsetVersion = 9, kPlacedShapeVersion = 6;
 
 struct FaceOffset {
   SurfaceOffset found;
@@ -25,6 +25,8 @@ struct FaceOffset {
   [[nodiscard]] float DeeperMm(int i, int j) const {
     return static_cast<float>(-found.code_depth_mm) * displacement(i, j);
   }
+  // Mean over the pool x pool quads that share profile (x, y): what its SRDs are moved by (PlacedSrds).
+  [[nodiscard]] float DeeperMm(int x, int y, int pool) const;
 };
 
 // By all lights but those of `heldout` (kNoneHeldOut: by all), of the surface that `srds` were read on; the codes that
