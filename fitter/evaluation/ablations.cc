@@ -31,11 +31,15 @@ SrdSet WithPermutedProjectors(SrdSet srds, int heldout) {
     if (p != heldout) training.push_back(p);
   for (auto* batches : {&srds.batches, &srds.row_batches}) {
     if (batches->empty()) continue;
-    for (size_t k = 0; k + 1 < training.size(); ++k) {
-      SrdBatch &a = (*batches)[training[k]], &b = (*batches)[training[k + 1]];
-      std::swap(a.slope_in, b.slope_in);
-      std::swap(a.slope_in_across, b.slope_in_across);
-      std::swap(a.cos_in, b.cos_in);
+    std::vector<SrdBatch*> lit;
+    for (int64_t i = 0; i < batches->front().profiles(); ++i) {
+      // Only among the lights that reach it: directions of another would take the light away.
+      lit.clear();
+      for (const int p : training)
+        if ((*batches)[p].valid[i] != 0) lit.push_back(&(*batches)[p]);
+      for (size_t k = 0; k + 1 < lit.size(); ++k)
+        for (auto of : {&SrdBatch::slope_in, &SrdBatch::slope_in_across, &SrdBatch::cos_in})
+          std::swap((lit[k]->*of)[i], (lit[k + 1]->*of)[i]);
     }
   }
   return srds;

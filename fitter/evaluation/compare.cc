@@ -138,9 +138,17 @@ Result<Target> ReadTarget(const CompareInput& in, const std::string& light) {
 }
 
 // NoiseFloor of the takes' difference: its square is as large as the noise's variance, in expectation.
-double NoiseOfTakes(const Target& target, const Image<uint8_t>& mask) {
-  if (target.noise.empty()) return NoiseFloor(target.light, target.variance, mask);
-  return NoiseFloor(target.light, Combine(target.noise, target.noise, std::multiplies<>()), mask);
+double NoiseOfTakes(const Target& target, const Image<float>& reference, const Image<uint8_t>& mask) {
+  if (target.noise.empty()) return NoiseFloor(reference, target.variance, mask);
+  return NoiseFloor(reference, Combine(target.noise, target.noise, std::multiplies<>()), mask);
+}
+
+// The target's noise as a share of `reference`, which an error is taken of: by its takes, and by the camera's model.
+struct NoiseShare {
+  double takes = 0.0, camera = 0.0;
+};
+NoiseShare NoiseOf(const Target& target, const Image<float>& reference, const Image<uint8_t>& mask) {
+  return {NoiseOfTakes(target, reference, mask), NoiseFloor(reference, target.variance, mask)};
 }
 
 // Every so many-th judged pixel, by colours.
@@ -172,7 +180,7 @@ struct JudgedLight {
   const Image<float>* irradiance = nullptr;     // of the view
   std::optional<Image<float>> direct;           // separated, under the pattern
   std::optional<Image<float>> true_subsurface;  // where there is truth
-  double noise_nrmse = 0.0, camera_noise_nrmse = 0.0;
+  NoiseShare noise;
 
   // Less the model's own share of it. Only where there is any.
   [[nodiscard]] Image<float> Remaining(const Prediction& p) const {
@@ -190,8 +198,7 @@ Result<JudgedLight> ReadLight(const CompareInput& in, size_t light,
   SLX_ASSIGN_OR_RETURN(judged.target, ReadTarget(in, judged.name));
   judged.irradiance = &in.view.irradiance[light];
   if (direct_reflectance) judged.direct = ReflectedLight(*direct_reflectance, *judged.irradiance);
-  judged.noise_nrmse = NoiseOfTakes(judged.target, mask);
-  judged.camera_noise_nrmse = NoiseFloor(judged.target.light, judged.target.variance, mask);
+  judged.noise = NoiseOf(judged.target, judged.target.light, mask);
   if (in.truth && in.view.home.empty()) {  // it is that of the head where it was at first
     SLX_ASSIGN_OR_RETURN(judged.true_subsurface, in.truth->Subsurface(judged.name, in.view.projector));
   }
@@ -205,17 +212,19 @@ std::vector<HeldOutFigure> FiguresOf(const CompareInput& in, const ComparedModel
   const Image<float>&subsurface = p.subsurface.at(light.name), &captured = light.target.light;
   std::vector<HeldOutFigure> figures;
   const auto add = [&](const char* part, const char* with, const Image<float>& real, const Image<float>& estimate,
-                       bool noisy) {
+                       const NoiseShare& noise) {
     figures.push_back({in.view.projector, light.name, model.name, part, with, in.geometry, in.pool, light.target.takes,
-                       CompareImages(real, estimate, mask), noisy ? light.noise_nrmse : 0.0,
-                       noisy ? light.camera_noise_nrmse : 0.0});
+                       CompareImages(real, estimate, mask), noise.takes, noise.camera});
   };
-  add("total", "predicted", captured, light.Predicted(p), true);
-  if (light.true_subsurface) add("subsurface", "truth", *light.true_subsurface, subsurface, false);
+  add("total", "predicted", captured, light.Predicted(p), light.noise);
+  if (light.true_subsurface) add("subsurface", "truth", *light.true_subsurface, subsurface, {});
   if (!light.direct) return figures;
   const Image<float> remaining = light.Remaining(p);
-  add("total", "separated", captured, Sum(subsurface, remaining), true);
-  if (!light.true_subsurface) add("subsurface", "separated", Difference(captured, remaining), subsurface, true);
+  add("total", "separated", captured, Sum(subsurface, remaining), light.noise);
+  if (!light.true_subsurface) {
+    const Image<float> below = Difference(captured, remaining);
+    add("subsurface", "separated", below, subsurface, NoiseOf(light.target, below, mask));
+  }
   return figures;
 }
 

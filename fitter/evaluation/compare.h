@@ -18,7 +18,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kCompareVersion = 13;
+inline constexpr int kCompareVersion = 14;
 
 struct ComparedModel {
   std::string name;  // the first one is the fit that is judged

@@ -14,7 +14,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kPredictVersion = 16;
+inline constexpr int kPredictVersion = 17;
 
 // Quads x colours.
 struct Prediction {

@@ -78,6 +78,15 @@ Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights
 [[nodiscard]] std::vector<double> PredictSamples(const LayerSet& layers, const SrdBatch& batch, int64_t profile,
                                                  const ScatteringModel& model,
                                                  double reach_mm = std::numeric_limits<double>::infinity());
+// What a light shows of it, as profile `at` of `batch` sees it: of one that it was fitted to what the fit found; of
+// another what the surface's form says, where the map has one, else the mean.
+[[nodiscard]] UnlayeredLight UnlayeredOf(const MixtureMap& map, int64_t profile, int projector, const SrdBatch& batch,
+                                         int64_t at);
+// All that a fit says of it: with light of the very surface, B(u) of it, which no angular gain and no directional
+// weight is on, and with the floor.
+[[nodiscard]] std::vector<double> PredictSamples(const LayerSet& layers, const UnlayeredLight& beside,
+                                                 const SrdBatch& batch, int64_t profile, const ScatteringModel& model,
+                                                 double reach_mm = std::numeric_limits<double>::infinity());
 
 // The session's tau of the angular gain from white reflectances of the training lights, less what the surface reflects:
 // least squares of log(white_p - R_p) - log F_p = a - tau (sec theta_t - 1), a per profile. 0 when the angles do not

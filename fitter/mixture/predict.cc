@@ -3,6 +3,7 @@
 
 #include "fitter/mixture/fit_mixture.h"
 #include "fitter/mixture/line_response.h"
+#include "fitter/mixture/surface_reflection.h"
 
 namespace stratalux::fit {
 namespace {
@@ -45,6 +46,33 @@ std::vector<double> PredictSamples(const LayerSet& layers, const SrdBatch& batch
       }
       y[k] += weight[l] * sum;
     }
+  }
+  return y;
+}
+
+UnlayeredLight UnlayeredOf(const MixtureMap& map, int64_t profile, int projector, const SrdBatch& batch, int64_t at) {
+  const auto lights = std::ssize(map.training_projectors);
+  for (std::ptrdiff_t p = 0; p < lights; ++p)
+    if (map.training_projectors[p] == projector)
+      return {map.surface[profile * lights + p], map.background[profile * lights + p]};
+  UnlayeredLight light = MeanOfLights(map, profile);
+  const SurfaceReflection& reflection = map.scattering.reflection;
+  if (reflection.Known())
+    light.surface = static_cast<float>(ReflectanceOf(reflection, ReflectionAngles::Of(batch, at), map.scattering.eta,
+                                                     reflection.gloss.At(map.PlaceOf(profile))));
+  return light;
+}
+
+std::vector<double> PredictSamples(const LayerSet& layers, const UnlayeredLight& beside, const SrdBatch& batch,
+                                   int64_t profile, const ScatteringModel& model, double reach_mm) {
+  std::vector<double> y = PredictSamples(layers, batch, profile, model, reach_mm);
+  const double step = batch.step_mm[profile], period = step * batch.samples;
+  const LineResponse line = LineResponseOf(batch, profile, 1e-4);
+  for (int k = 0; k < batch.samples; ++k) {
+    const double from_line = batch.first_u_mm[profile] + k * step;
+    const double u = batch.wrapped ? std::remainder(from_line, period) : from_line;
+    if (std::abs(u) > reach_mm) continue;
+    y[k] += beside.surface * line.At(u) + beside.background;
   }
   return y;
 }

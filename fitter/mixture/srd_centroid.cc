@@ -27,19 +27,12 @@ double Centroid(const std::vector<double>& y, const SrdBatch& batch, int64_t pro
   return sum > 0.0 && std::abs(moment) <= reach_mm * sum ? moment / sum : std::nan("");
 }
 
-Sums OfProfile(const MixtureMap& map, const SrdBatch& heldout, int64_t profile, double reach_mm) {
+Sums OfProfile(const MixtureMap& map, const SrdBatch& heldout, int projector, int64_t profile, double reach_mm) {
   const ScatteringModel& model = map.scattering;
   const double s = ShiftCoefficient(model, heldout, profile);
-  LayerSet layers = LayersOf(map, profile);
-  const UnlayeredLight mean = MeanOfLights(map, profile);
-  const double floor = mean.background;
-  double surface = mean.surface;
-  if (model.reflection.Known()) surface = ReflectedBy(model.reflection, heldout, profile, model.eta);
-  layers.weight.push_back(surface);  // light of the very surface: a line without width or shift
-  layers.depth_mm.push_back(0.0);
-  layers.sigma_mm.push_back(1e-3);
-  std::vector<double> predicted = PredictSamples(layers, heldout, profile, model, reach_mm);
-  for (double& y : predicted) y += floor;
+  const std::vector<double> predicted =
+      PredictSamples(LayersOf(map, profile), UnlayeredOf(map, profile, projector, heldout, profile), heldout, profile,
+                     model, reach_mm);
   const auto y = heldout.Samples(profile);
   const double measured_at = Centroid({y.begin(), y.end()}, heldout, profile, reach_mm),
                predicted_at = Centroid(predicted, heldout, profile, reach_mm);
@@ -49,13 +42,14 @@ Sums OfProfile(const MixtureMap& map, const SrdBatch& heldout, int64_t profile, 
 
 }  // namespace
 
-CentroidError CompareCentroids(const MixtureMap& map, const SrdBatch& heldout, double reach_mm, int every) {
+CentroidError CompareCentroids(const MixtureMap& map, const SrdBatch& heldout, int projector, double reach_mm,
+                               int every) {
   std::vector<int64_t> chosen;
   for (int64_t i = 0; i < map.profiles(); ++i)
     if (i / map.channels % every == 0 && map.Fitted(i) && heldout.valid[i] != 0) chosen.push_back(i);
   std::vector<Sums> each(chosen.size());  // summed in order afterwards: the same bits for any number of threads
   ParallelFor(static_cast<int64_t>(chosen.size()), 64, [&](int64_t begin, int64_t end) {
-    for (int64_t k = begin; k < end; ++k) each[k] = OfProfile(map, heldout, chosen[k], reach_mm);
+    for (int64_t k = begin; k < end; ++k) each[k] = OfProfile(map, heldout, projector, chosen[k], reach_mm);
   });
   Sums all;
   for (const Sums& s : each) {

@@ -16,9 +16,9 @@ struct CentroidError {
   int64_t profiles = 0;
 };
 
-// Centroids of the samples within `reach_mm` of the line, of one fitted profile in `every`; surface and floor are the
-// means of the training lights'.
-[[nodiscard]] CentroidError CompareCentroids(const MixtureMap& map, const SrdBatch& heldout, double reach_mm = 2.0,
-                                             int every = 16);
+// Centroids of the samples within `reach_mm` of the line, of one fitted profile in `every`; `heldout` is the light of
+// `projector` (UnlayeredOf: its surface and floor).
+[[nodiscard]] CentroidError CompareCentroids(const MixtureMap& map, const SrdBatch& heldout, int projector,
+                                             double reach_mm = 2.0, int every = 16);
 
 }  // namespace stratalux::fit

@@ -103,7 +103,7 @@ Result<std::optional<SurfaceError>> AgainstTruth(SessionGraph& graph, const std:
 }
 
 // Of quads of the surface that the mask was made of.
-Result<SkinFigure> SkinFigureOf(SessionGraph& graph, const SessionFrames& frames, const SkinMask& mask) {
+Result<SkinFigure> SkinFigureOf(const SessionFrames& frames, const SkinMask& mask) {
   SkinFigure figure{mask.surface_quads(), mask.skin_quads, mask.told, {}, {}};
   for (int r = 0; r < kSkinReasons; ++r)
     if (const auto reason = static_cast<SkinReason>(r); reason != SkinReason::kNoSurface)
@@ -111,8 +111,12 @@ Result<SkinFigure> SkinFigureOf(SessionGraph& graph, const SessionFrames& frames
   SLX_ASSIGN_OR_RETURN(const auto truth, SceneTruth::Open(frames.folder()));
   if (!truth) return figure;
   SLX_ASSIGN_OR_RETURN(const auto skin, truth->SkinOrStubble());
-  SLX_ASSIGN_OR_RETURN(const FaceShape* face, graph.Face(graph.Shape(graph.SkinSource())));
-  if (!skin.empty()) figure.truth = CompareMasks(skin, mask.skin, face->surface.mask);
+  if (skin.empty()) return figure;
+  Image<uint8_t> surface(mask.reason.width(), mask.reason.height(), 1);
+  for (int y = 0; y < surface.height(); ++y)
+    for (int x = 0; x < surface.width(); ++x)
+      surface(x, y) = mask.reason(x, y) != static_cast<uint8_t>(SkinReason::kNoSurface);
+  figure.truth = CompareMasks(skin, mask.skin, surface);
   return figure;
 }
 
@@ -304,7 +308,7 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
     SLX_ASSIGN_OR_RETURN(metrics.unplaced, AgainstTruth(graph, truth, graph.Shape(options.geometry)));
   }
   SLX_ASSIGN_OR_RETURN(const SkinMask skin, stages.Load(keys.at("skin"), LoadSkin));
-  SLX_ASSIGN_OR_RETURN(metrics.skin, SkinFigureOf(graph, frames, skin));
+  SLX_ASSIGN_OR_RETURN(metrics.skin, SkinFigureOf(frames, skin));
   const int projectors = static_cast<int>(shape->record.projectors.size());
   SLX_ASSIGN_OR_RETURN(const auto* separation, graph.Separation(keys.at("separate")));
   SLX_ASSIGN_OR_RETURN(const FittedLayers* layers, graph.Layers(keys.at("fit")));
@@ -328,8 +332,8 @@ Result<fs::path> Publish(SessionGraph& graph, const RunOptions& options, Session
   if (!offset_key.empty() && chosen >= 0) {
     SLX_ASSIGN_OR_RETURN(const auto offset, stages.Load(offset_key, LoadOffset));
     const auto pixel = chosen / layers->map.channels;
-    const float deeper = offset.DeeperMm(static_cast<int>(pixel % layers->map.width) * layers->pool,
-                                         static_cast<int>(pixel / layers->map.width) * layers->pool);
+    const float deeper = offset.DeeperMm(static_cast<int>(pixel % layers->map.width),
+                                         static_cast<int>(pixel / layers->map.width), layers->pool);
     for (SrdBatch& batch : srds.batches) MoveSurface(batch, 1, {&deeper, 1}, 1.0);
   }
   ReportInput input{frames, *shape,         *separation,      normals, diffuse,

@@ -179,8 +179,8 @@ int64_t ChosenProfile(const MixtureMap& map) {
 
 ReportSection SrdOfPixel(const ReportInput& in) {
   ReportSection section{"Spatial radiance distribution of a pixel (figure 5)",
-                        "Samples of the comb sweep (dots) over the distance between line and pixel, and the fitted "
-                        "layers (line), red channel.",
+                        "Samples of the comb sweep (dots) over the distance between line and pixel, and what the fit "
+                        "says of them: layers, surface and floor (line), red channel.",
                         {},
                         {},
                         {}};
@@ -191,19 +191,15 @@ ReportSection SrdOfPixel(const ReportInput& in) {
   for (int p = 0; p < static_cast<int>(in.chosen_srds.size()); ++p) {
     const SrdBatch& b = in.chosen_srds[p];
     if (b.valid[0] == 0) continue;
-    const auto predicted = PredictSamples(layers, b, 0, map.scattering);
-    const auto trained = std::find(map.training_projectors.begin(), map.training_projectors.end(), p);
+    const auto predicted = PredictSamples(layers, UnlayeredOf(map, profile, p, b, 0), b, 0, map.scattering);
+    const bool is_trained = std::ranges::find(map.training_projectors, p) != map.training_projectors.end();
     std::vector<std::array<double, 3>> points;
     const double period = double(b.step_mm[0]) * b.samples;
-    const size_t light = static_cast<size_t>(trained - map.training_projectors.begin());
-    const bool is_trained = trained != map.training_projectors.end();
-    const double floor = is_trained ? map.background[profile * map.training_projectors.size() + light] : 0.0;
     for (int k = 0; k < b.samples; ++k)
       points.push_back(
-          {std::remainder(b.first_u_mm[0] + k * double(b.step_mm[0]), period), b.Samples(0)[k], predicted[k] + floor});
+          {std::remainder(b.first_u_mm[0] + k * double(b.step_mm[0]), period), b.Samples(0)[k], predicted[k]});
     std::sort(points.begin(), points.end());
-    ReportSeries measured{"measured", {}, {}, true},
-        fitted{trained == map.training_projectors.end() ? "predicted" : "fitted", {}, {}, false};
+    ReportSeries measured{"measured", {}, {}, true}, fitted{is_trained ? "fitted" : "predicted", {}, {}, false};
     for (const auto& point : points) {
       if (std::abs(point[0]) > 12.0) continue;
       measured.x.push_back(point[0]);
@@ -211,11 +207,10 @@ ReportSection SrdOfPixel(const ReportInput& in) {
       fitted.x.push_back(point[0]);
       fitted.y.push_back(point[2]);
     }
-    section.plots.push_back(
-        {"projector " + std::to_string(p) + (trained == map.training_projectors.end() ? " (held out)" : ""),
-         "line minus pixel, mm",
-         "reflectance per line",
-         {measured, fitted}});
+    section.plots.push_back({"projector " + std::to_string(p) + (is_trained ? "" : " (held out)"),
+                             "line minus pixel, mm",
+                             "reflectance per line",
+                             {measured, fitted}});
   }
   ReportTable table{"Layers of this pixel", {"layer", "depth mm", "sigma mm", "weight"}, {}};
   for (size_t l = 0; l < layers.weight.size(); ++l)

@@ -145,7 +145,7 @@ MeanProfile MeanProfileOf(std::span<const SrdBatch* const> lights, int channel, 
   double width = 0.0, blur = 0.0, n = 0.0;
   for (const SrdBatch* b : lights)
     for (int64_t i = channel; i < b->profiles(); i += channels) {
-      if (b->valid[i] == 0) continue;
+      if (!b->Shares(i)) continue;
       width += b->line_width_mm[i];
       blur += std::sqrt(b->blur_mm[i] * b->blur_mm[i] + SampleSitesOf(*b, i).VarianceMm2());
       n += 1.0;

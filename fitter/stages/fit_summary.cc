@@ -12,7 +12,6 @@ namespace {
 // Share of the fitted weight in layers wider than one line: what scattering, not the surface, contributes.
 double WideWeightFraction(const MixtureMap& map, double line_mm) {
   double wide = 0.0, all = 0.0;
-  const size_t lights = map.training_projectors.size();
   for (int64_t i = 0; i < map.profiles(); ++i) {
     if (!map.Fitted(i)) continue;
     for (int l = 0; l < map.layers; ++l) {
@@ -20,7 +19,7 @@ double WideWeightFraction(const MixtureMap& map, double line_mm) {
       all += w;
       if (map.sigma_mm[i * map.layers + l] > line_mm) wide += w;
     }
-    for (size_t p = 0; p < lights; ++p) all += map.surface[i * lights + p] / static_cast<double>(lights);
+    all += MeanOfLights(map, i).surface;
   }
   return all > 0.0 ? wide / all : 0.0;
 }
@@ -82,7 +81,7 @@ FitSummary Summarise(const MixtureMap& map, const SrdSet& srds, int heldout) {
   summary.prior_photons = map.prior_photons;
   summary.reflection = map.scattering.reflection;
   summary.wide_weight_fraction = WideWeightFraction(map, MeanLineWidth(srds));
-  summary.centroid = CompareCentroids(map, srds.batches[heldout]);
+  summary.centroid = CompareCentroids(map, srds.batches[heldout], heldout);
   summary.divergence = MedianDivergence(map);
   if (iterations.empty()) return summary;
   summary.iterations_median = Median(iterations);

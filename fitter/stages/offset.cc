@@ -41,6 +41,13 @@ std::vector<float> Pooled(const Image<float>& map, int pool) {
 
 }  // namespace
 
+float FaceOffset::DeeperMm(int x, int y, int pool) const {
+  float sum = 0.0F;
+  for (int j = 0; j < pool; ++j)
+    for (int i = 0; i < pool; ++i) sum += DeeperMm(x * pool + i, y * pool + j);
+  return sum / static_cast<float>(pool * pool);
+}
+
 Result<FaceOffset> FindOffset(const SrdSet& srds, const FaceShape& shape, int heldout, const FitOptions& options,
                               const SharedLight& shared, Logger& logger, const std::string& label) {
   SLX_ASSIGN_OR_RETURN(const auto training, TrainingLightsOf(srds, heldout));

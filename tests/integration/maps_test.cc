@@ -141,5 +141,15 @@ TEST_F(Maps, PicturesAreOfThemWhereTheFitHasThemAndSaySo) {
   EXPECT_FALSE(fs::exists(folder_ / "missing"));
 }
 
+// A fit on the true surface is told of by that surface, though its mask of skin is of the reconstructed one.
+TEST_F(Maps, WhatIsToldOfATrueSurfaceIsOfIt) {
+  const fs::path store = Fitted("store");
+  ASSERT_EQ(Fit(store, Options("run") + " --maps off --geometry truth").code, 0);
+  const Json metrics = Metrics(FitOf(store, false)), reconstructed = Metrics(FitOf(store, true));
+  EXPECT_LT(metrics["normals"]["surface"]["rms_deg"], 0.1);
+  EXPECT_GT(reconstructed["normals"]["surface"]["rms_deg"], 1.0);  // what a mix-up would say
+  EXPECT_EQ(metrics["skin"], reconstructed["skin"]);
+}
+
 }  // namespace
 }  // namespace stratalux

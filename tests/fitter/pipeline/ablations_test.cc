@@ -39,5 +39,19 @@ TEST(Ablations, SpoilTheTrainingLightsOnly) {
   }
 }
 
+// A light that does not reach a profile has no direction there: given to another it would take that one away.
+TEST(Ablations, DirectionsAreExchangedAmongLightsThatReachTheProfile) {
+  SrdSet before = FourLights();
+  before.batches[2].valid[1] = 0;
+  before.batches[2].cos_in[1] = 0.0F;
+  const SrdSet set = WithPermutedProjectors(before, 1);
+  EXPECT_EQ(set.batches[0].cos_in[1], 3.0F);
+  EXPECT_EQ(set.batches[3].cos_in[1], 0.0F);
+  EXPECT_EQ(set.batches[2].cos_in[1], 0.0F);
+  std::vector<float> all;
+  for (const int p : {0, 2, 3}) all.push_back(set.batches[p].cos_in[0]);
+  EXPECT_EQ(all, (std::vector<float>{2.0F, 3.0F, 0.0F}));
+}
+
 }  // namespace
 }  // namespace stratalux::fit

@@ -101,6 +101,21 @@ TEST(FitDipole, FindsTheCoefficientsThatMadeTheProfile) {
   EXPECT_NEAR(found.TotalReflectance() / truth.TotalReflectance(), 1.0, 0.03);
 }
 
+// Hair among the skin: a profile apart, dark and without tails.
+TEST(FitDipole, IsOfSkinAlone) {
+  const Dipole truth{1.3, 0.06, 1.4};
+  SrdBatch b = CombOver(truth, 2);
+  const SrdBatch hair = CombOver({6.0, 2.0, 1.4}, 2);
+  std::copy(hair.y.begin() + hair.samples, hair.y.end(), b.y.begin() + b.samples);
+  const SrdBatch* light = &b;
+  const double mixed = FitDipole(std::span(&light, 1), 0, 1, 1.4, 0.0).TotalReflectance();
+  b.apart = {0, 1};
+  const Dipole found = FitDipole(std::span(&light, 1), 0, 1, 1.4, 0.0);
+  EXPECT_NEAR(found.sigma_s_prime_per_mm / truth.sigma_s_prime_per_mm, 1.0, 0.08);
+  EXPECT_NEAR(found.TotalReflectance() / truth.TotalReflectance(), 1.0, 0.03);
+  EXPECT_LT(mixed, 0.9 * truth.TotalReflectance());  // the ablation
+}
+
 TEST(FitDipole, TheSurfacesLightIsNoScattering) {
   const Dipole truth{1.3, 0.06, 1.4};
   const SrdBatch b = CombOver(truth, 1, 0.05);

@@ -65,8 +65,8 @@ SrdBatch LitSkin(const MixtureMap& skin) {
 TEST(CompareCentroids, FindsTheDepthOfALayerAndSeesThatABlindFitPredictsNone) {
   const MixtureMap skin = OneLayer(0.5F);
   const SrdBatch heldout = LitSkin(skin);
-  const CentroidError own = CompareCentroids(skin, heldout, 3.0, 1),
-                      blind = CompareCentroids(OneLayer(0), heldout, 3.0, 1);
+  const CentroidError own = CompareCentroids(skin, heldout, 1, 3.0, 1),
+                      blind = CompareCentroids(OneLayer(0), heldout, 1, 3.0, 1);
   EXPECT_EQ(own.profiles, kProfiles);
   EXPECT_NEAR(own.measured_mm, 0.5, 0.005);  // mm of centroid per mm of depth and unit of s
   EXPECT_NEAR(own.predicted_mm, own.measured_mm, 1e-3);
@@ -76,10 +76,35 @@ TEST(CompareCentroids, FindsTheDepthOfALayerAndSeesThatABlindFitPredictsNone) {
   EXPECT_GT(blind.rms_mm, 0.1);
 }
 
+// The very surface's light lies at the line, however obliquely the light enters: the layers' gain is not on it.
+TEST(CompareCentroids, OfALightThatWasFittedTheSurfaceIsWhatTheFitFound) {
+  MixtureMap skin = OneLayer(0.5F);
+  skin.scattering.gain_model = true;
+  skin.scattering.tau = 0.3;
+  skin.surface.assign(kProfiles, 0.2F);
+  SrdBatch light = Batch();
+  for (int i = 0; i < kProfiles; ++i) {
+    const auto layers = PredictSamples(LayersOf(skin, i), light, i, skin.scattering);
+    LayerSet line;  // without width or depth; the model without a gain
+    line.weight = {0.2};
+    line.depth_mm = {0.0};
+    line.sigma_mm = {1e-4};
+    const auto surface = PredictSamples(line, light, i, OneLayer(0).scattering);
+    for (int k = 0; k < 64; ++k) light.y[i * 64 + k] = static_cast<float>(layers[k] + surface[k]);
+  }
+  const CentroidError own = CompareCentroids(skin, light, 0, 3.0, 1);
+  EXPECT_NEAR(own.predicted_mm, own.measured_mm, 2e-3);
+  EXPECT_LT(own.rms_mm, 1e-3);
+  // Of another light it is the mean of the lights, which is the same here.
+  EXPECT_NEAR(CompareCentroids(skin, light, 1, 3.0, 1).predicted_mm, own.measured_mm, 2e-3);
+  skin.surface.assign(kProfiles, 0.0F);
+  EXPECT_GT(CompareCentroids(skin, light, 0, 3.0, 1).predicted_mm, 1.2 * own.measured_mm);  // the ablation
+}
+
 TEST(CompareCentroids, CountsNothingWhereNothingIsLit) {
   SrdBatch dark = LitSkin(OneLayer(0.5F));
   dark.valid.assign(kProfiles, 0);
-  const CentroidError none = CompareCentroids(OneLayer(0.5F), dark, 3.0, 1);
+  const CentroidError none = CompareCentroids(OneLayer(0.5F), dark, 1, 3.0, 1);
   EXPECT_EQ(none.profiles, 0);
   EXPECT_EQ(none.measured_mm, 0.0);
 }
@@ -96,7 +121,7 @@ TEST(CompareCentroids, NoiseOfADarkProfileIsNoCentroid) {
   }
   heldout.y[static_cast<size_t>(first)] = -1.0F;
   heldout.y[static_cast<size_t>(first) + 5] = 1.05F;
-  const CentroidError error = CompareCentroids(skin, heldout, 3.0, 1);
+  const CentroidError error = CompareCentroids(skin, heldout, 1, 3.0, 1);
   EXPECT_EQ(error.profiles, kProfiles - 1);
   EXPECT_NEAR(error.measured_mm, 0.5, 0.005);
 }
