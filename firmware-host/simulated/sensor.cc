@@ -139,6 +139,13 @@ Image<uint16_t> Sensor::Expose(Image<float> light, const SensorExposure& exposur
   const int step = static_cast<int>(step_);
   const float per_step = 1.0F / step_;
   const bool noisy = options_.noise == Noise::kOn;
+  // Charges are counted before they are compressed: v = c - per_dn c^2 of c has the noise of c, (1 - 2 per_dn c) times.
+  const auto per_dn = static_cast<float>(e.compression / (top_ - e.black_level_dn));
+  const auto shot = [per_dn, per_gain](float v) {
+    if (!(per_dn > 0.0F)) return std::max(v, 0.0F) * per_gain;
+    const float slope2 = std::max(1.0F - 4.0F * per_dn * std::max(v, 0.0F), 0.0F);
+    return slope2 * 0.5F * (1.0F - std::sqrt(slope2)) / per_dn * per_gain;
+  };
   ParallelFor(light.height(), 16, [&](int64_t begin, int64_t end) {
     for (int y = static_cast<int>(begin); y < end; ++y) {
       Random random(options_.seed, (static_cast<uint64_t>(exposure.number) << 16) + static_cast<uint64_t>(y));
@@ -151,7 +158,7 @@ Image<uint16_t> Sensor::Expose(Image<float> light, const SensorExposure& exposur
         if (noisy) {
           if (x % 4 == 0) bits = random.Bits();
           // Photo-electrons are many (4 a digital number): their Poisson noise is normal with variance signal / gain.
-          value += normal[bits & 65535U] * std::sqrt(std::max(in[x], 0.0F) * per_gain + read2);
+          value += normal[bits & 65535U] * std::sqrt(shot(in[x]) + read2);
           bits >>= 16;
         }
         const int steps = static_cast<int>(std::clamp(value, 0.0F, top_) * per_step + 0.5F);

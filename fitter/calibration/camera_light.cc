@@ -17,7 +17,7 @@ constexpr int kTile = 16;  // sites
 constexpr int kTileColours = 3;
 constexpr int kResponseNodes = 65;
 constexpr int kTerms = 4;               // of h beyond the linear one
-constexpr double kTransferRange = 0.6;  // of the range; above, a compressing camera's noise is compressed, too
+constexpr double kTransferRange = 0.6;  // of the range
 constexpr double kHotSigmas = 6.0;
 
 // h in units of the range, without the linear term's factor.
@@ -34,6 +34,10 @@ int QuantisationStep(ImageView<const uint16_t> raw) {
   for (int y = 0; y < raw.height(); ++y)
     for (int x = 0; x < raw.width(); ++x) bits |= raw(x, y);
   return bits == 0 ? 1 : static_cast<int>(bits & (~bits + 1));
+}
+
+double NoiseInTheDark(double read_noise_dn, int step_dn) {
+  return std::sqrt(read_noise_dn * read_noise_dn + (double(step_dn) * step_dn - 1.0) / 12.0);
 }
 
 Status DarkStatistics::Add(const Image<uint16_t>& raw, double exposure_ms) {
@@ -125,6 +129,7 @@ Result<DarkReport> DarkStatistics::Finish() const {
   const double bias = report.black_level_dn - usual;
   report.offset_spread_dn = std::sqrt(std::max(0.0, squares / sites - bias * bias - variance * offset_noise));
   report.read_noise_dn = std::sqrt(std::max(0.0, variance - step_ * step_ / 12.0));
+  report.step_dn = step_;
   report.dark_current_dn_per_s = 1000.0 * Median(rates);
   return report;
 }
@@ -181,9 +186,18 @@ std::vector<double> ExposureRamp::Offsets() const {
   return offsets;
 }
 
-Result<PhotonTransfer> ExposureRamp::Transfer() const {
+Result<PhotonTransfer> ExposureRamp::Transfer(const std::vector<double>& response) const {
   struct Tile {
-    double signal, variance, sites;
+    double signal, variance, sites;  // signal: of which the shot noise is that of a straight camera, L / h'^2
+  };
+  CameraCalibration camera;
+  camera.black_level_dn = 0.0;
+  camera.saturation_dn = range_dn_;
+  camera.response = response;
+  const auto of_straight = [&](double level) {
+    const double reach = range_dn_ / kResponseNodes;
+    const double slope = (camera.LinearDn(level + reach) - camera.LinearDn(level - reach)) / (2.0 * reach);
+    return camera.LinearDn(level) / (slope * slope);
   };
   const std::vector<double> offsets = Offsets();
   std::vector<Tile> tiles;
@@ -192,7 +206,7 @@ Result<PhotonTransfer> ExposureRamp::Transfer() const {
       const Cell& cell = e.cells[k];
       const double signal = cell.level - offsets[k];
       if (cell.sites > 0 && signal < kTransferRange * range_dn_)
-        tiles.push_back({signal, cell.variance - step_ * step_ / 12.0, static_cast<double>(cell.sites)});
+        tiles.push_back({of_straight(signal), cell.variance - step_ * step_ / 12.0, static_cast<double>(cell.sites)});
     }
   if (tiles.size() < 50) return Status::Failed("photon transfer: only " + std::to_string(tiles.size()) + " tiles");
   // A variance from n differences has a relative variance of 2 / (n - 1); the weights follow the line itself.
@@ -216,6 +230,7 @@ Result<PhotonTransfer> ExposureRamp::Transfer() const {
   transfer.gain_e_per_dn = 1.0 / line[1];
   transfer.gain_sd = std::sqrt(normal.inverse()(1, 1)) / (line[1] * line[1]);
   transfer.read_noise_dn = std::sqrt(std::max(0.0, line[0]));
+  transfer.step_dn = step_;
   constexpr int kPoints = 24;
   transfer.points.resize(kPoints);
   for (const Tile& t : tiles) {

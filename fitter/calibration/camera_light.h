@@ -15,6 +15,9 @@ namespace stratalux::fit {
 
 // Step between the raw levels that occur: 1 for 12 bits, 4 for 10 bits in a 12-bit container.
 [[nodiscard]] int QuantisationStep(ImageView<const uint16_t> raw);
+// What a record states as read noise, dn: SensorNoise adds the quantisation of a step of 1, and this what a coarser
+// step `step_dn` has beyond that: sqrt(read^2 + (q^2 - 1) / 12).
+[[nodiscard]] double NoiseInTheDark(double read_noise_dn, int step_dn);
 
 // Temporal statistics of dark frames, one exposure after the other.
 class DarkStatistics {
@@ -52,9 +55,11 @@ class ExposureRamp {
       : cfa_(cfa), saturation_dn_(saturation_dn), range_dn_(saturation_dn - black_level_dn) {}
 
   void Add(const RampFrames& frames);
-  // var = read^2 + signal / gain + step^2 / 12 (Janesick 2007), least squares over the tiles below 60 % of the range.
-  // kFailed: fewer than 50 tiles, or a variance that does not grow with the light.
-  [[nodiscard]] Result<PhotonTransfer> Transfer() const;
+  // var = read^2 + step^2 / 12 + L / (gain h'(s)^2) (Janesick 2007), least squares over the tiles below 60 % of the
+  // range. L = h(s) is the light of level s, by `response` (CameraCalibration::response; empty: h is straight): charges
+  // are counted before the camera compresses them, and their noise with them. kFailed: fewer than 50 tiles, or a
+  // variance that does not grow with the light.
+  [[nodiscard]] Result<PhotonTransfer> Transfer(const std::vector<double>& response) const;
   // h(s) = s (1 + a_1 s + ... + a_4 s^4), s the raw level above black as a share of the range, such that h is
   // proportional to the exposure in every tile; made monotone. kFailed: fewer than 4 exposures or 20 tiles.
   [[nodiscard]] Result<CameraResponseReport> Response() const;

@@ -19,6 +19,7 @@ struct DarkReport {
   double black_level_dn = 0.0;         // mean over the sites, at exposure 0
   double offset_spread_dn = 0.0;       // standard deviation of the sites' offsets (DSNU), noise taken out
   double read_noise_dn = 0.0;          // temporal, median over the sites' blocks; quantisation taken out
+  int step_dn = 1;                     // between the levels that occur: 4 of 10 bits in the upper ones of 12
   double dark_current_dn_per_s = 0.0;  // median over the sites
   int64_t hot_pixels = 0;
   Image<float> offset_dn;          // raw sites, H x W: level at exposure 0
@@ -36,6 +37,7 @@ struct TransferPoint {
 struct PhotonTransfer {
   double gain_e_per_dn = 0.0, gain_sd = 0.0;
   double read_noise_dn = 0.0;         // from the intercept; the dark session's is the better one
+  int step_dn = 1;                    // as above
   std::vector<TransferPoint> points;  // rising signal
 };
 

@@ -160,7 +160,7 @@ Status LightStage::MeasureDark() {
     Warn(names + ": the black level lies within 3 standard deviations of 0, where noise is cut off",
          "raise the camera's black level");
   record_.camera.black_level_dn = report_.dark->black_level_dn;
-  record_.camera.read_noise_dn = report_.dark->read_noise_dn;
+  record_.camera.read_noise_dn = NoiseInTheDark(report_.dark->read_noise_dn, report_.dark->step_dn);
   return Status::Ok();
 }
 
@@ -205,13 +205,13 @@ Status LightStage::MeasureCamera() {
     session = frames.info().id;
     best = std::move(ramp);
   }
-  UseTransfer(session, *best);
   UseCameraResponse(session, *best);
+  UseTransfer(session, *best);
   return Status::Ok();
 }
 
 void LightStage::UseTransfer(const std::string& session, const ExposureRamp& ramp) {
-  auto transfer = ramp.Transfer();
+  auto transfer = ramp.Transfer(record_.camera.response);
   if (!transfer.ok()) {
     Refuse("session " + session + ": " + transfer.status().message(),
            "light the target by projector 0, unsaturated, and capture the flat session again");
@@ -223,7 +223,8 @@ void LightStage::UseTransfer(const std::string& session, const ExposureRamp& ram
     Warn("session " + session + ": the camera's gain is known to " +
              Percent(report_.transfer->gain_sd / report_.transfer->gain_e_per_dn) + " only",
          "let the target fill more of the picture");
-  if (!report_.dark) record_.camera.read_noise_dn = report_.transfer->read_noise_dn;  // the next best
+  if (!report_.dark)  // the next best
+    record_.camera.read_noise_dn = NoiseInTheDark(report_.transfer->read_noise_dn, report_.transfer->step_dn);
 }
 
 void LightStage::UseCameraResponse(const std::string& session, const ExposureRamp& ramp) {

@@ -47,8 +47,9 @@ void FrameLineariser::Apply(Image<uint16_t>& frame, int crop_x, int crop_y) cons
         }
         float light = linear_dn_[level];
         if (gain_.contains(x + crop_x, y + crop_y)) light *= gain_(x + crop_x, y + crop_y);
+        // What 16 bits do not hold is as good as saturated, not a little less bright than it was.
         const float dn = static_cast<float>(camera_.black_level_dn) + light + 0.5F;
-        level = static_cast<uint16_t>(std::clamp(dn, 0.0F, static_cast<float>(kSaturated - 1)));
+        level = static_cast<uint16_t>(std::clamp(dn, 0.0F, static_cast<float>(kSaturated)));
       }
   });
 }

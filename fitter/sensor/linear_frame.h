@@ -20,10 +20,10 @@ class FrameLineariser {
   explicit FrameLineariser(const CameraCalibration& camera);
 
   // The camera that would have made the linear frames: response and vignetting gone, saturation above all that is not
-  // saturated.
+  // saturated, as far as 16 bits go.
   [[nodiscard]] const CameraCalibration& linear_camera() const { return linear_; }
-  // Raw mosaic to linear, black level kept; saturated sites read 65535. (crop_x, crop_y) is the place of the frame's
-  // first site on the sensor.
+  // Raw mosaic to linear, black level kept; saturated sites, and those whose light 16 bits do not hold, read 65535.
+  // (crop_x, crop_y) is the place of the frame's first site on the sensor.
   void Apply(Image<uint16_t>& frame, int crop_x, int crop_y) const;
 
  private:

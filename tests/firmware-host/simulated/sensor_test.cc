@@ -251,5 +251,20 @@ TEST(Sensor, CompressionIsQuadraticAndTenBitsAreFourApart) {
   }
 }
 
+TEST(Sensor, ShotNoiseIsOfTheLightAndCompressedWithIt) {
+  CameraElectronics camera = Camera(4.0, 0.0);
+  camera.compression = 0.1;
+  const double full = 4095.0 - 64.0, light = 3000.0, slope = 1.0 - 2.0 * 0.1 * light / full;
+  double sum = 0.0, squares = 0.0, count = 0.0;
+  const Image<uint16_t> raw = ExposeSensor(Flat(static_cast<float>(light)), camera, 0, {});
+  for (const uint16_t v : raw.pixels()) {
+    sum += v;
+    squares += double(v) * v;
+    ++count;
+  }
+  const double variance = squares / count - (sum / count) * (sum / count) - 1.0 / 12.0;
+  EXPECT_NEAR(variance / (slope * slope * light / 4.0), 1.0, 6.0 * std::sqrt(2.0 / count));
+}
+
 }  // namespace
 }  // namespace stratalux::rig

@@ -28,8 +28,10 @@ struct Camera {
         const double offset = black + dsnu * fixed.Normal(), sensitivity = 1.0 + 0.01 * fixed.Normal();
         // Brighter to the right, as targets are.
         const double light = light_per_ms * ms * (0.4 + 0.6 * x / width) * sensitivity + 1e-3 * dark_dn_per_s * ms;
-        const double signal = Compressed(light);
-        const double value = offset + signal + noise.Normal() * std::sqrt(read * read + signal / gain);
+        // Shot noise is of the light, and compressed with it; read noise comes behind that.
+        const double slope = 1.0 - 2.0 * compression * light / (4095.0 - black);
+        const double value =
+            offset + Compressed(light) + noise.Normal() * std::sqrt(read * read + slope * slope * light / gain);
         raw(x, y) = static_cast<uint16_t>(std::lround(std::clamp(value, 0.0, 4095.0) / step) * step);
       }
     return raw;
@@ -79,7 +81,7 @@ TEST(DarkStatistics, RefusesFramesThatTellNoNoise) {
 TEST(PhotonTransfer, FixedPatternAndLampLeaveTheGainAlone) {
   Camera camera;
   for (const double jitter : {0.0, 0.01}) {
-    const auto transfer = camera.Ramp(200.0, jitter).Transfer();
+    const auto transfer = camera.Ramp(200.0, jitter).Transfer({});
     ASSERT_TRUE(transfer.ok()) << transfer.status().message();
     EXPECT_NEAR(transfer->gain_e_per_dn, 4.3, 0.02 * 4.3) << jitter;
     EXPECT_NEAR(transfer->gain_e_per_dn, 4.3, 4.0 * transfer->gain_sd);
@@ -90,11 +92,46 @@ TEST(PhotonTransfer, FixedPatternAndLampLeaveTheGainAlone) {
 TEST(PhotonTransfer, QuantisationIsNotReadNoise) {
   Camera camera;
   camera.step = 4;
-  const auto transfer = camera.Ramp(200.0).Transfer();
+  const auto transfer = camera.Ramp(200.0).Transfer({});
   ASSERT_TRUE(transfer.ok());
   EXPECT_NEAR(transfer->gain_e_per_dn, 4.3, 0.02 * 4.3);
   EXPECT_NEAR(transfer->read_noise_dn, 2.7, 0.3);
   EXPECT_EQ(QuantisationStep(camera.Expose(100.0, 16.0, 3)), 4);
+}
+
+TEST(PhotonTransfer, OfACompressingCameraIsThatOfItsCharges) {
+  Camera camera;
+  camera.compression = 0.1;
+  const ExposureRamp ramp = camera.Ramp(230.0);
+  const auto response = ramp.Response();
+  ASSERT_TRUE(response.ok()) << response.status().message();
+  const auto transfer = ramp.Transfer(response->response), straight = ramp.Transfer({});
+  ASSERT_TRUE(transfer.ok() && straight.ok());
+  EXPECT_NEAR(transfer->gain_e_per_dn, 4.3, 0.02 * 4.3);
+  EXPECT_GT(straight->gain_e_per_dn, 1.05 * 4.3);  // the ablation
+}
+
+// What a record says of a coarse camera's samples is what they scatter by.
+TEST(PhotonTransfer, TheRecordsNoiseHoldsACoarseStep) {
+  Camera camera;
+  camera.step = 16;
+  const auto transfer = camera.Ramp(200.0).Transfer({});
+  ASSERT_TRUE(transfer.ok());
+  SensorNoise noise;
+  noise.black_level_dn = camera.black;
+  noise.gain_e_per_dn = transfer->gain_e_per_dn;
+  noise.read_noise_dn = NoiseInTheDark(transfer->read_noise_dn, transfer->step_dn);
+  const auto a = camera.Expose(40.0, 16.0, 11), b = camera.Expose(40.0, 16.0, 12);
+  double variance = 0.0, level = 0.0, sites = 0.0;
+  for (size_t i = 0; i < a.size(); ++i) {
+    if (a.pixels()[i] > 1000 || b.pixels()[i] > 1000) continue;  // a hot one
+    variance += 0.5 * std::pow(double(a.pixels()[i]) - b.pixels()[i], 2);
+    level += a.pixels()[i];
+    ++sites;
+  }
+  EXPECT_NEAR(noise.VarianceDn2(level / sites) / (variance / sites), 1.0, 0.1);
+  noise.read_noise_dn = transfer->read_noise_dn;
+  EXPECT_LT(noise.VarianceDn2(level / sites) / (variance / sites), 0.8);  // the ablation
 }
 
 TEST(CameraResponse, UndoesACompressionThatNobodyTold) {
@@ -126,7 +163,7 @@ TEST(CameraResponse, ALinearCameraStaysLinear) {
 TEST(CameraResponse, NeedsLight) {
   const Camera camera;
   EXPECT_NE(camera.Ramp(2.0).Response().status().message().find("lit tiles"), std::string::npos);
-  EXPECT_FALSE(ExposureRamp(Cfa::kRggb, 4095.0, 60.0).Transfer().ok());
+  EXPECT_FALSE(ExposureRamp(Cfa::kRggb, 4095.0, 60.0).Transfer({}).ok());
 }
 
 TEST(FrameLineariser, GivesWhatALinearCameraWouldHaveRead) {
