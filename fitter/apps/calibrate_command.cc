@@ -6,6 +6,8 @@
 #include <filesystem>
 #include <fstream>
 #include <memory>
+#include <optional>
+#include <set>
 #include <sstream>
 
 #include <CLI/CLI.hpp>
@@ -75,7 +77,17 @@ Result<CalibrateOptions> OptionsFrom(CalibrateFlags& f) {
   return options;
 }
 
-// The sessions named, or the newest `last` of kind calibration, oldest first.
+// The number of a session's one pose; nullopt: none, or several.
+std::optional<int> OnlyPose(const std::string& store, const std::string& session) {
+  const auto frames = SessionFrames::Open(store, session);
+  if (!frames.ok()) return std::nullopt;
+  std::vector<int> poses = frames->poses();
+  std::erase(poses, -1);  // pre-roll frames belong to none
+  return poses.size() == 1 ? std::optional(poses[0]) : std::nullopt;
+}
+
+// The sessions named, or the newest of kind calibration that hold `last` poses, oldest first. Attempts at one pose
+// count once.
 Result<std::vector<std::string>> ChooseSessions(const CalibrateFlags& f, Logger& logger) {
   if (f.last > 0 && !f.sessions.empty()) return Status::Usage("give sessions or --last, not both");
   if (f.last == 0) {
@@ -89,15 +101,19 @@ Result<std::vector<std::string>> ChooseSessions(const CalibrateFlags& f, Logger&
   SLX_ASSIGN_OR_RETURN(const auto rows, store.ListSessions());
   std::vector<std::string> chosen;
   int poses = 0;
+  std::set<int> attempted;
   for (const db::SessionSummary& row : rows) {
     if (row.info.kind == SessionKind::kVisitor || row.info.status == SessionStatus::kFailed || poses == f.last)
       continue;
-    poses += row.info.kind == SessionKind::kCalibration;
+    if (row.info.kind == SessionKind::kCalibration) {
+      const auto pose = OnlyPose(f.store, row.info.id);
+      poses += !pose || attempted.insert(*pose).second;
+    }
     chosen.push_back(row.info.id);
   }
   if (poses < f.last)
     return Status::NotFound("--last " + std::to_string(f.last) + ": the store has " + std::to_string(poses) +
-                            " sessions of kind calibration");
+                            " poses in sessions of kind calibration");
   std::reverse(chosen.begin(), chosen.end());
   return chosen;
 }

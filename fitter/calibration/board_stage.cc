@@ -2,6 +2,7 @@
 #include "fitter/calibration/board_stage.h"
 
 #include <algorithm>
+#include <map>
 #include <set>
 
 #include "fitter/session/quad_signal.h"
@@ -165,38 +166,66 @@ Status CheckSession(const SessionFrames& frames, const BoardStageOptions& option
                               "; calibrate sessions of one rig together");
 }
 
+// Oldest first, whatever order they are given in: of two attempts at a pose the younger counts.
+Result<std::vector<std::string>> ByTime(const std::string& store, const std::vector<std::string>& sessions) {
+  std::map<std::pair<int64_t, size_t>, std::string> by_time;  // as given, of one time
+  std::set<std::string> seen;
+  for (const std::string& selector : sessions) {
+    SLX_ASSIGN_OR_RETURN(const auto frames, SessionFrames::Open(store, selector));
+    const SessionInfo& info = frames.info();
+    if (!seen.insert(info.id).second) return Status::Usage("session " + info.id + " is given twice");
+    by_time[{info.started_wall.ns, by_time.size()}] = info.id;
+  }
+  std::vector<std::string> ids;
+  for (const auto& [time, id] : by_time) ids.push_back(id);
+  return ids;
+}
+
+// A pose that could not be used. `attempt`: its number, where its session holds it alone; -1.
+struct LeftOut {
+  int attempt = -1;
+  std::string why;
+};
+
 }  // namespace
 
 Result<BoardPoses> ObserveBoards(const std::string& store, const std::vector<std::string>& sessions,
                                  const BoardStageOptions& options, Logger& logger) {
   SLX_RETURN_IF_ERROR(options.board.Validate());
   BoardPoses boards;
-  std::set<std::string> seen;
-  for (const std::string& selector : sessions) {
-    SLX_ASSIGN_OR_RETURN(const auto frames, SessionFrames::Open(store, selector));
+  SLX_ASSIGN_OR_RETURN(boards.sessions, ByTime(store, sessions));
+  std::map<int, std::string> attempts;  // observed poses that have a session to themselves: their names
+  std::vector<LeftOut> left_out;
+  for (const std::string& id : boards.sessions) {
+    SLX_ASSIGN_OR_RETURN(const auto frames, SessionFrames::Open(store, id));
     for (const std::string& note : frames.store().notes()) logger.Warning(note);
-    const std::string id = frames.info().id;
-    if (!seen.insert(id).second) return Status::Usage("session " + id + " is given twice");
-    boards.sessions.push_back(id);
     SLX_RETURN_IF_ERROR(CheckSession(frames, options, boards, logger));
     boards.saturation_dn = frames.record() ? frames.info().devices.saturation_dn : SaturationOf(frames);
     if (frames.record()) boards.calibration = frames.record();
-    for (const int pose : NumberedPoses(frames)) {
+    const std::vector<int> poses = NumberedPoses(frames);
+    for (const int pose : poses) {
       const std::string name = pose >= 0 ? "pose " + std::to_string(pose) + " (session " + id + ")" : "session " + id;
+      const int attempt = poses.size() == 1 ? pose : -1;
       auto observed = ObservePose(frames, pose, name, boards.observations, options, logger);
       if (!observed.ok()) {
         // What the disk or the store has to say ends the work; what the board has to say, this pose.
         if (observed.status().code() == StatusCode::kIntegrity) return observed.status();
-        boards.left_out.push_back(name + ": " + observed.status().message());
-        logger.Warning(boards.left_out.back());
+        left_out.push_back({attempt, name + ": " + observed.status().message()});
+        logger.Warning(left_out.back().why);
         continue;
       }
-      std::erase_if(boards.observations.poses,
-                    [&](const PoseObservation& earlier) { return pose >= 0 && earlier.pose == pose; });
+      if (attempt >= 0) {
+        std::string& earlier = attempts[attempt];
+        if (!earlier.empty()) logger.Info(earlier + " is replaced by session " + id);
+        std::erase_if(boards.observations.poses, [&](const PoseObservation& o) { return o.name == earlier; });
+        earlier = name;
+      }
       boards.observations.poses.push_back(std::move(observed).value());
       logger.Info(name + ": " + std::to_string(boards.observations.poses.back().corners.size()) + " corners");
     }
   }
+  for (LeftOut& pose : left_out)
+    if (!attempts.contains(pose.attempt)) boards.left_out.push_back(std::move(pose.why));
   if (boards.observations.poses.empty())
     return Status::Failed(boards.left_out.empty() ? "no board pose in the sessions" : boards.left_out.front());
   return boards;

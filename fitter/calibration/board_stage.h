@@ -17,7 +17,7 @@ struct BoardPoses {
   CodeSize code;                              // of all sessions
   std::vector<std::string> left_out;          // poses that could not be used: name, cause, remedy
   std::optional<RigCalibration> calibration;  // the newest session's own record, if any
-  std::vector<std::string> sessions;          // ids, in the order given
+  std::vector<std::string> sessions;          // ids, oldest first
   // Of the sensor, as the newest session tells; by its frames' format only where no record says better. 0: not known.
   double saturation_dn = 0.0;
 };
@@ -30,9 +30,9 @@ struct BoardStageOptions {
   std::optional<DeviceSize> camera_size, projector_size;
 };
 
-// All poses of the sessions; a session without pose numbers is one pose; a pose of the same number in a later session
-// replaces an earlier one. Fails where sessions do not belong together
-// or hold no board pose at all.
+// All poses of the sessions; a session without pose numbers is one pose; a pose that has a session to
+// itself was captured again where a younger one of that number was, and is replaced by it, or stands where that could
+// not be used. Fails where sessions do not belong together or hold no board pose at all.
 [[nodiscard]] Result<BoardPoses> ObserveBoards(const std::string& store, const std::vector<std::string>& sessions,
                                                const BoardStageOptions& options, Logger& logger);
 

@@ -166,6 +166,22 @@ TEST_F(Calibration, NamesThePoseInWhichTheBoardMovedAndGoesOnWithoutIt) {
   EXPECT_EQ(run.code, 3) << run.out;
   EXPECT_THAT(run.out, HasSubstr("pose 1 (session s000001"));
   EXPECT_THAT(run.out, AnyOf(HasSubstr("the board moved by"), HasSubstr("capture it again with nothing moving")));
+  // Captured again it is missing no longer, and of its two attempts the younger counts, in whatever order they are
+  // named; both are one of the five.
+  ASSERT_EQ(Execute(CaptureOf(1) + " --store " + store).code, 0);
+  std::string newest_first;
+  for (int number = 6; number >= 1; --number) newest_first += " s00000" + std::to_string(number);
+  for (const std::string& sessions : {std::string(" --last 5"), newest_first}) {
+    const Outcome again =
+        Execute("stratalux-fit calibrate" + sessions + " --distortion k1 --json --store " + store, Show::kStdout);
+    EXPECT_EQ(again.code, 0) << sessions;
+    const Json result = Json::parse(again.out, nullptr, false);
+    EXPECT_TRUE(result["left_out"].empty()) << sessions;
+    ASSERT_EQ(result["poses"].size(), 5U) << sessions;
+    std::string names;
+    for (const Json& pose : result["poses"]) names += pose["name"].get<std::string>() + "; ";
+    EXPECT_THAT(names, HasSubstr("pose 1 (session s000006")) << sessions;
+  }
 }
 
 TEST_F(Calibration, SaysThatThereIsNoBoard) {
