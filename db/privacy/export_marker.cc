@@ -21,6 +21,7 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 constexpr std::string_view kPrefix = ".stratalux-export-", kSuffix = ".json";
+constexpr const char* kBeside = ".new";   // of a file while it is written
 constexpr uintmax_t kOverwritten = 4096;  // bytes
 
 Result<std::vector<std::string>> ReadMarker(const fs::path& file, const std::string& session_id) {
@@ -68,7 +69,18 @@ Status BeginExport(const fs::path& store, const std::string& action, const std::
   SLX_RETURN_IF_ERROR(LogAccess(store, action, session_id, ExportPlace(folder)));
   // Behind the row: a forgetting that is entered later finds it, one that was entered before is seen here.
   SLX_RETURN_IF_ERROR(RefuseForgotten(store, session_id));
-  return WriteExportMarker(folder, session_id, files);
+  std::vector<std::string> with_beside = files;
+  for (const std::string& name : files) with_beside.push_back(name + kBeside);
+  return WriteExportMarker(folder, session_id, with_beside);
+}
+
+Status WriteExportedFile(const fs::path& file, const std::function<Status(const fs::path&)>& write) {
+  const fs::path beside = file.string() + kBeside;
+  Status written = write(beside);
+  if (written.ok()) written = KeepFile(beside, file);
+  std::error_code error;
+  if (!written.ok()) fs::remove(beside, error);
+  return written;
 }
 
 Status EndExport(const fs::path& store, const std::string& session_id, const fs::path& folder,

@@ -27,6 +27,10 @@ Status BeginExport(const std::filesystem::path& store, const std::string& action
 // And behind its last: of a session that was forgotten meanwhile `files` are deleted, and that is kUsage.
 Status EndExport(const std::filesystem::path& store, const std::string& session_id, const std::filesystem::path& folder,
                  const std::vector<std::string>& files);
+// One of them that takes the place of an earlier one whole: `write` makes it beside, under a name that the marker lists
+// as well.
+Status WriteExportedFile(const std::filesystem::path& file,
+                         const std::function<Status(const std::filesystem::path& beside)>& write);
 // The one, `write`, and the other: also behind a failure, for that may be the forgetting's.
 Status WriteExport(const std::filesystem::path& store, const std::string& action, const std::string& session_id,
                    const std::filesystem::path& folder, const std::vector<std::string>& files,

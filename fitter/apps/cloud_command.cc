@@ -98,7 +98,9 @@ Status Cloud(const CloudFlags& f, Logger& logger) {
       const int pose = poses[k];
       const CodedCloud& made = clouds[k];
       const std::filesystem::path file = std::filesystem::path(f.out) / FileOf(pose);
-      SLX_RETURN_IF_ERROR(WritePly(file, made.cloud, {.session = session}));
+      SLX_RETURN_IF_ERROR(db::WriteExportedFile(file, [&](const std::filesystem::path& beside) {
+        return WritePly(beside, made.cloud, {.session = session});
+      }));
       logger.Info(FileOf(pose) + ": " + TextOf(made));
       results.push_back(JsonOf(pose, made));
       text += file.string() + "\n";

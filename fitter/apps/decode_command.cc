@@ -9,6 +9,7 @@
 #include <memory>
 #include <optional>
 #include <sstream>
+#include <tuple>
 
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
@@ -50,10 +51,14 @@ Result<Reference> ReadReference(const std::string& file, const std::vector<int>&
     if (line.ends_with('\r')) line.pop_back();
     if (line.empty() || line[0] == '#') continue;
     std::istringstream text(line);
-    double v[7];
+    const std::string where = file + ":" + std::to_string(number) + ": ";
+    int pose = 0;
+    double v[6];
+    if (!(text >> pose)) return Status::Usage(where + "the pose, the first of 7 numbers, is no whole number");
     for (double& x : v)
-      if (!(text >> x)) return Status::Usage(file + ":" + std::to_string(number) + ": expected 7 numbers");
-    reference.insert({static_cast<int>(v[0]), {{v[3], v[4]}, {v[5], v[6]}}});
+      if (!(text >> x)) return Status::Usage(where + "expected 7 numbers (pose, board x y, camera u v, projector x y)");
+    if (!(text >> std::ws).eof()) return Status::Usage(where + "more than 7 numbers");
+    reference.insert({pose, {{v[2], v[3]}, {v[4], v[5]}}});
   }
   for (const int pose : poses)
     if (!reference.contains(pose))
@@ -84,31 +89,52 @@ Comparison CompareCorners(const Reference& reference, int pose, const DecodedMap
   return comparison;
 }
 
-// Of the axes that were captured.
-Status WriteMaps(const DecodeFlags& f, const std::string& session, const std::string& name, const DecodedMap& map) {
-  std::error_code error;
-  std::filesystem::create_directories(f.out, error);
+// A pose's maps, of the axes that were captured; where nothing could be read they are empty ones, not an earlier run's.
+struct PoseMaps {
+  std::string name;
+  DecodedMap map;
+  bool columns = false, rows = false;
+};
+
+PoseMaps MapsOf(const SessionFrames& frames, const DecodeFlags& f, int pose, DecodedMap map) {
+  PoseMaps maps{"projector" + std::to_string(f.projector) + (pose >= 0 ? "_pose" + std::to_string(pose) : ""),
+                std::move(map)};
+  for (const db::FrameRow& row : frames.rows()) {
+    const FrameRecord& r = row.record;
+    if (r.pattern.kind != PatternKind::kGray || r.projector != f.projector || r.pose != pose) continue;
+    (r.pattern.axis == PatternAxis::kRows ? maps.rows : maps.columns) = true;
+  }
+  return maps;
+}
+
+// All of them, each whole or not there.
+Status WriteMaps(const DecodeFlags& f, const std::string& session, const std::vector<PoseMaps>& all) {
   std::vector<std::pair<std::string, const Image<float>*>> axes;
   std::vector<std::string> files;
-  for (const auto& [axis, values] : {std::pair{"_column", &map.column}, std::pair{"_row", &map.row}}) {
-    if (std::ranges::all_of(values->pixels(), [](float v) { return std::isnan(v); })) continue;
-    axes.emplace_back(name + axis, values);
-    files.push_back(name + axis + ".exr");
-    files.push_back(name + axis + ".png");
-  }
-  return db::WriteExport(f.store, "decode", session, f.out, files, [&]() -> Status {
+  for (const PoseMaps& pose : all)
+    for (const auto& [axis, captured, values] :
+         {std::tuple{"_column", pose.columns, &pose.map.column}, std::tuple{"_row", pose.rows, &pose.map.row}}) {
+      if (!captured) continue;
+      axes.emplace_back(pose.name + axis, values);
+      files.push_back(pose.name + axis + ".exr");
+      files.push_back(pose.name + axis + ".png");
+    }
+  const std::filesystem::path out = f.out;
+  return db::WriteExport(f.store, "decode", session, out, files, [&]() -> Status {
     for (const auto& [file, values] : axes) {
-      const std::string base = (std::filesystem::path(f.out) / file).string();
-      SLX_RETURN_IF_ERROR(WriteExr(base + ".exr", *values, {"Y"}));
-      SLX_RETURN_IF_ERROR(
-          WritePng8(base + ".png", ToColourScale(*values, Percentile(*values, 0.01), Percentile(*values, 0.99))));
+      SLX_RETURN_IF_ERROR(db::WriteExportedFile(out / (file + ".exr"), [&](const std::filesystem::path& beside) {
+        return WriteExr(beside, *values, {"Y"});
+      }));
+      SLX_RETURN_IF_ERROR(db::WriteExportedFile(out / (file + ".png"), [&](const std::filesystem::path& beside) {
+        return WritePng8(beside, ToColourScale(*values, Percentile(*values, 0.01), Percentile(*values, 0.99)));
+      }));
     }
     return Status::Ok();
   });
 }
 
 Status DecodePose(const SessionFrames& frames, const DecodeFlags& f, int pose, const Reference& reference,
-                  nlohmann::ordered_json& results) {
+                  nlohmann::ordered_json& results, std::vector<PoseMaps>& maps) {
   const CodeSize code = CodeSizeOf(frames);
   SLX_ASSIGN_OR_RETURN(const auto report,
                        DecodeProjector(frames, f.projector, pose, code.columns, code.rows, NoiseOf(frames),
@@ -126,11 +152,7 @@ Status DecodePose(const SessionFrames& frames, const DecodeFlags& f, int pose, c
     result["reference"] = {{"corners", c.corners}, {"found", c.found}, {"median_px", nullptr}};
     if (c.median_px) result["reference"]["median_px"] = *c.median_px;
   }
-  if (!f.out.empty()) {
-    const std::string name =
-        "projector" + std::to_string(f.projector) + (pose >= 0 ? "_pose" + std::to_string(pose) : "");
-    SLX_RETURN_IF_ERROR(WriteMaps(f, frames.info().id, name, report.map));
-  }
+  if (!f.out.empty()) maps.push_back(MapsOf(frames, f, pose, report.map));
   results.push_back(result);
   return Status::Ok();
 }
@@ -177,11 +199,13 @@ Status Decode(const DecodeFlags& f, Logger& logger) {
     SLX_ASSIGN_OR_RETURN(reference, ReadReference(f.reference, poses));
   }
   nlohmann::ordered_json results = nlohmann::ordered_json::array();
+  std::vector<PoseMaps> maps;
   for (const int pose : poses) {
     if (const std::string note = UnreadSinusoids(frames, f.projector, pose); !note.empty() && !f.bits_alone)
       logger.Warning(note);
-    SLX_RETURN_IF_ERROR(DecodePose(frames, f, pose, reference, results));
+    SLX_RETURN_IF_ERROR(DecodePose(frames, f, pose, reference, results, maps));
   }
+  if (!f.out.empty()) SLX_RETURN_IF_ERROR(WriteMaps(f, frames.info().id, maps));
   return WriteStdout(f.json ? results.dump(1) + "\n" : AsText(results));
 }
 

@@ -53,6 +53,9 @@ int main(int argc, char** argv) {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
     return app.exit(error) == 0 ? 0 : 2;
+  } catch (const std::bad_alloc&) {
+    std::fprintf(stderr, "stratalux-fit: out of memory; pool more quads (--pool), or use a machine that has more\n");
+    return static_cast<int>(stratalux::StatusCode::kFailed);
   }
   return exit_code;
 }

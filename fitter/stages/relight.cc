@@ -5,6 +5,7 @@
 #include <array>
 #include <cmath>
 
+#include "db/privacy/export_marker.h"
 #include "fitter/export/exr_file.h"
 #include "fitter/export/pictures.h"
 #include "fitter/render/mlsss.h"
@@ -15,6 +16,8 @@
 #include "shared/image/png.h"
 
 namespace stratalux::fit {
+
+namespace fs = std::filesystem;
 namespace {
 
 constexpr double kFarMm = 1e5;  // of a directional light: parallel to a thousandth over a face
@@ -160,14 +163,19 @@ Status WriteRelit(const std::filesystem::path& folder, const Relit& relit, doubl
       relit.total.channels() == 1 ? std::vector<std::string>{"Y", "A"} : std::vector<std::string>{"R", "G", "B", "A"};
   for (const auto& [name, image] :
        {std::pair("subsurface", &relit.subsurface), {"surface", &relit.surface}, {"total", &relit.total}}) {
-    SLX_RETURN_IF_ERROR(WriteExr(folder / (std::string(name) + ".exr"), WithCoverage(*image, relit.covered), channels));
-    SLX_RETURN_IF_ERROR(
-        WritePng8(folder / (std::string(name) + ".png"), WithAlpha(ToSrgb(*image, white), relit.covered)));
+    SLX_RETURN_IF_ERROR(db::WriteExportedFile(folder / (std::string(name) + ".exr"), [&](const fs::path& beside) {
+      return WriteExr(beside, WithCoverage(*image, relit.covered), channels);
+    }));
+    SLX_RETURN_IF_ERROR(db::WriteExportedFile(folder / (std::string(name) + ".png"), [&](const fs::path& beside) {
+      return WritePng8(beside, WithAlpha(ToSrgb(*image, white), relit.covered));
+    }));
   }
   nlohmann::ordered_json json = {{"schema", 1}, {"session", session}, {"fit", fit}, {"layers", relit.provenance}};
   std::filesystem::remove(folder / "interval.exr", error);  // of an earlier picture
   if (!relit.half_width.empty()) {
-    SLX_RETURN_IF_ERROR(WriteExr(folder / "interval.exr", WithCoverage(relit.half_width, relit.covered), channels));
+    SLX_RETURN_IF_ERROR(db::WriteExportedFile(folder / "interval.exr", [&](const fs::path& beside) {
+      return WriteExr(beside, WithCoverage(relit.half_width, relit.covered), channels);
+    }));
     json["interval"] = {{"half_width", RelativeHalfWidth(relit)}};
   }
   return WriteJson(folder / "relit.json", json);

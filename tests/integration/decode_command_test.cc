@@ -41,8 +41,10 @@ class DecodeCommand : public ScratchFolderTest {
   }
   void Pose(int index) { manifest_ += "[[pose]]\nindex = " + std::to_string(index) + "\n"; }
   // `more`: further keys of the entry.
-  void Capture(const Pattern& pattern, const std::string& more) {
-    const Image<float> shown = pattern.Render(kWidth, kHeight);
+  void Capture(const Pattern& pattern, const std::string& more) { CaptureAs(pattern, pattern, more); }
+  // What is said to show `pattern` shows `really`.
+  void CaptureAs(const Pattern& pattern, const Pattern& really, const std::string& more) {
+    const Image<float> shown = really.Render(kWidth, kHeight);
     Image<uint8_t> seen(kWidth, kHeight);
     for (size_t i = 0; i < seen.size(); ++i) seen.data()[i] = static_cast<uint8_t>(10.0F + 200.0F * shown.data()[i]);
     const std::string name = "f" + std::to_string(files_++) + ".png";
@@ -101,6 +103,47 @@ TEST_F(DecodeOfPoses, ThoseWithCodesOfTheProjectorAreDecodedAndTheOthersNamed) {
   const Outcome second = Decode("--projector 1");
   EXPECT_EQ(second.code, 0) << second.out;
   EXPECT_THAT(second.out, HasSubstr("projector 1 pose 4: "));
+}
+
+// What nobody can read is a map without values: an earlier run's must not stand for it.
+TEST_F(DecodeCommand, MapsOfAPoseInTheDarkTakeThePlaceOfEarlierOnes) {
+  constexpr Pattern kDark{.kind = PatternKind::kBlack};
+  Pose(1);
+  CaptureAs({.kind = PatternKind::kWhite}, kDark, "");
+  Capture(kDark, "");
+  for (const Pattern& code : Codes()) CaptureAs(code, kDark, "pose = 1\n");
+  Import();
+  const fs::path out = folder_ / "maps";
+  fs::create_directories(out);
+  for (const char* map : {"projector0_pose1_column.exr", "projector0_pose1_row.png"})
+    WriteText(out / map, "an earlier one");
+  const Outcome dark = Decode("--out " + out.string());
+  EXPECT_EQ(dark.code, 0) << dark.out;
+  for (const char* map : {"projector0_pose1_column.exr", "projector0_pose1_row.png"})
+    EXPECT_NE(ReadText(out / map), "an earlier one") << map;
+}
+
+TEST_F(DecodeCommand, APoseThatCannotBeDecodedLeavesNoMapsOfOthers) {
+  Pose(1);
+  Pose(6);
+  for (const PatternKind kind : {PatternKind::kWhite, PatternKind::kBlack}) Capture({.kind = kind}, "pose = 1\n");
+  for (const Pattern& code : Codes())
+    for (const int pose : {1, 6}) Capture(code, "pose = " + std::to_string(pose) + "\n");
+  Import();
+  const fs::path out = folder_ / "maps";
+  EXPECT_NE(Decode("--out " + out.string()).code, 0);
+  EXPECT_FALSE(fs::exists(out));
+  EXPECT_EQ(Decode("--pose 1 --out " + out.string()).code, 0);
+  EXPECT_TRUE(fs::exists(out / "projector0_pose1_row.exr"));
+}
+
+TEST_F(DecodeOfPoses, AReferenceOfAnotherFormIsRefusedByItsLine) {
+  for (const char* line : {"2.7 0 0 10 10 10 10", "1e300 0 0 10 10 10 10", "x 0 0 10 10 10 10", "1 0 0 10 10 10",
+                           "1 0 0 10 10 10 10 10"}) {
+    const Outcome outcome = Decode("--pose 1 " + Reference("1 0 0 10 10 10 10\n" + std::string(line) + "\n"));
+    EXPECT_EQ(outcome.code, 2) << line;
+    EXPECT_THAT(outcome.out, HasSubstr("reference.txt:2: ")) << line;
+  }
 }
 
 TEST_F(DecodeOfPoses, WhatHasNoCodesIsNotFound) {

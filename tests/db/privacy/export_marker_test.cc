@@ -98,6 +98,34 @@ TEST_F(ExportMarkerTest, DeletesWhatAKilledExportHasHalfWritten) {
   EXPECT_FALSE(fs::exists(out_));
 }
 
+TEST_F(ExportMarkerTest, AFileThatCannotBeWrittenLeavesTheEarlierOne) {
+  const auto file = folder_ / "cloud.ply";
+  WriteText(file, "earlier");
+  const Status failed = WriteExportedFile(file, [](const std::filesystem::path& beside) {
+    WriteText(beside, "half");
+    return Status::Failed("no space left");
+  });
+  EXPECT_EQ(failed.code(), StatusCode::kFailed);
+  EXPECT_EQ(ReadText(file), "earlier");
+  EXPECT_FALSE(std::filesystem::exists(file.string() + ".new"));
+  EXPECT_TRUE(WriteExportedFile(file, [](const std::filesystem::path& beside) {
+                WriteText(beside, "whole");
+                return Status::Ok();
+              }).ok());
+  EXPECT_EQ(ReadText(file), "whole");
+}
+
+// Killed in the midst of it: what stands beside goes with a forgetting, as all else does.
+TEST_F(ExportMarkerTest, WhatAKilledWriterLeftBesideIsForgottenToo) {
+  const std::string session = StoreSession(1);
+  const auto out = folder_ / "clouds";
+  ASSERT_TRUE(BeginExport(folder_, "cloud", session, out, {"cloud.ply"}).ok());
+  WriteText(out / "cloud.ply.new", "half a face");
+  const auto removed = RemoveExport(ExportPlace(out), session);
+  ASSERT_TRUE(removed.ok()) << removed.status().message();
+  EXPECT_FALSE(std::filesystem::exists(out / "cloud.ply.new"));
+}
+
 TEST_F(ExportMarkerTest, AFolderThatCannotBeLookedIntoIsNotTakenForGone) {
   const fs::path endless = folder_ / std::string(300, 'x');  // no file system takes such a name
   EXPECT_EQ(RemoveExport(ExportPlace(endless), "s000001-0badcafe").status().code(), StatusCode::kFailed);
