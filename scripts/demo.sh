@@ -70,7 +70,9 @@ if [ "$night" -gt 0 ]; then
   "$bin/stratalux-fit" batch plan --store "$store" >&2
   # Whoever is being fitted when somebody pulls the plug loses a moment's work: stages that are finished stay.
   "$bin/stratalux-fit" batch run --store "$store" >"$out/night.txt" &
-  batch=$!
+  batch=$! worker=
+  # What runs beside a script does not hear an interruption of it.
+  trap 'kill -TERM "$batch" 2>/dev/null; wait "$batch"; exit 130' INT TERM
   for ((tries = 0; tries < 600; ++tries)); do
     read -r worker _ <"/proc/$batch/task/$batch/children" || true
     if [ -n "$worker" ] && compgen -G "$store/sessions/*/artifacts/srd-*" >/dev/null; then
@@ -83,6 +85,7 @@ if [ "$night" -gt 0 ]; then
   done
   status=0
   wait "$batch" || status=$?
+  trap - INT TERM
   "$bin/stratalux-fit" batch report --store "$store" --text >&2
   cat "$out/night.txt"
   exit $status

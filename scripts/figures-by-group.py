@@ -9,7 +9,7 @@ the population, from --first on, that fall into it; a person's number is the see
 a surface of its own, too.
 
   scripts/figures-by-group.py --work /tmp/groups                         # two of each group at 696x520
-  scripts/figures-by-group.py --work /tmp/groups --size 348x260 --per-group 1 --json groups.json
+  scripts/figures-by-group.py --work /tmp/small --size 348x260 --per-group 1 --json groups.json
   scripts/figures-by-group.py --work /tmp/low --scattering 0.55          # all of them with that scattering
   scripts/figures-by-group.py --work /tmp/wide --comb-period 192         # combs with lines that far apart, in columns
   scripts/figures-by-group.py --work /tmp/waves --code micro-phase       # codes other than the plan's
@@ -17,7 +17,8 @@ a surface of its own, too.
   scripts/figures-by-group.py --work /tmp/groups --run=--neighbours=off  # fits otherwise than as usual
   scripts/figures-by-group.py --list                                     # who they are
 
-People whose capture is in --work already are fitted only where the programs have changed. Exit 1: a program failed, and
+People whose capture is in --work already are not captured again (one by other options is an error), and fitted only
+where the programs have changed. Exit 1: a program failed, and
 the figures of the others are printed; or, with --check, in some group layers do not predict stripes better than the fit
 that is blind to direction, photometric detail makes the surface's normals worse by a tenth and more, or less than nine
 tenths of the truly lit skin are judged.
@@ -30,6 +31,8 @@ import pathlib
 import subprocess
 import sys
 import tempfile
+
+from simulated_visits import called, captured
 
 GROUPS = [("very light", 55, 90), ("light", 41, 55), ("intermediate", 28, 41), ("tan", 10, 28), ("brown", -30, 10),
           ("dark", -90, -30)]
@@ -64,33 +67,19 @@ def choose(bin_folder, first, per_group):
 
 
 def judge(args, person):
-    store = args.work / f"person-{person['person']}"
-    capture = None
-    if not list(store.glob("sessions/*/manifest.json")):
-        scene = "--simulate"
-        if args.scattering is not None:
-            file = args.work / "scene.toml"
-            file.write_text(f"[skin]\nscattering = {args.scattering}\n")
-            scene = f"--simulate={file}"
-        capture = ["stratalux-rig", "capture", scene, "--exposure", "auto", "--seed", str(person["person"]), "--size", args.size]
-        if args.comb_period is not None:
-            file = args.work / "rig.toml"
-            file.write_text(f"[plan]\ncomb_period = {args.comb_period}\n")
-            capture.append(f"--config={file}")
-        if args.code is not None:
-            capture.append(f"--code={args.code}")
-    fit = ["stratalux-fit", "run", "latest", "--geometry", args.geometry, "--json", *args.run]
-    log = args.work / f"person-{person['person']}.log"
-    with open(log, "a") as out:
-        for command in [capture, fit] if capture else [fit]:
-            done = subprocess.run([args.bin / command[0], *command[1:], "--store", store], stdout=subprocess.PIPE, stderr=out,
-                                  text=True)
-            out.write(done.stdout)
-            if done.returncode not in (0, 3):  # 3: degraded, and complete as far as it goes
-                print(f"error: {' '.join(command)} of person {person['person']} ended with {done.returncode}: {log}",
-                      file=sys.stderr)
-                return False
-    metrics = json.loads((pathlib.Path(json.loads(done.stdout)["folder"]) / "metrics.json").read_text())
+    scene = "" if args.scattering is None else f"[skin]\nscattering = {args.scattering}\n"
+    rig = "" if args.comb_period is None else f"[plan]\ncomb_period = {args.comb_period}\n"
+    options = ["--exposure", "auto", "--seed", person["person"], "--size", args.size]
+    if args.code is not None:
+        options.append(f"--code={args.code}")
+    try:
+        store, log = captured(args.bin, args.work, f"person-{person['person']}", options, scene, rig)
+        done = json.loads(called(args.bin, log, "stratalux-fit", "run", "latest", "--geometry", args.geometry, "--json",
+                                 *args.run, "--store", store))
+    except RuntimeError as error:
+        print(f"error: person {person['person']}: {error}", file=sys.stderr)
+        return False
+    metrics = json.loads((pathlib.Path(done["folder"]) / "metrics.json").read_text())
     person["depth_rms_mm"] = metrics["truth"]["depth_rms_mm"]
     person["normals"] = metrics.get("normals")
     covered = [c for c in metrics["coverage"] if c["geometry"] == args.geometry]

@@ -13,10 +13,10 @@ first of them by a fit of all frames that a fit reads.
   scripts/frames-against-error.py --size 232x174 --frames 128,24 --geometry truth --check     # small, held to its limits
 
 Seconds: frames times the mean of a frame in `stratalux-rig plan show --simulate` (default plan and exposure); the frames
-that only the comparison reads are not among them. People whose capture is in --work already, and fits that are there,
-are not made again. Exit 1: a program failed; or, with --check, fewer frames predict stripes better by a tenth than all
-do (figures that mix up), or at 128 frames or more layers predict them no better than the fit that is blind to direction
-or less than nine tenths of the truly lit skin are judged.
+that only the comparison reads are not among them. People whose capture is in --work already (by the same options;
+another is an error), and fits that are there, are not made again. Exit 1: a program failed; or, with --check, fewer
+frames predict stripes better by a tenth than all do (figures that mix up), or at 128 frames or more layers predict them
+no better than the fit that is blind to direction or less than nine tenths of the truly lit skin are judged.
 """
 import argparse
 import json
@@ -25,6 +25,8 @@ import subprocess
 import sys
 import tempfile
 
+from simulated_visits import called, captured
+
 MODELS = [("tied", "layers"), ("homogeneous_local_albedo", "mean layers"), ("direction_blind", "blind")]
 LIGHTS = ("stripe", "white", "spot")
 LEAST_FOR_SURFACE = 96  # of the default plan; `stratalux-fit run` says so
@@ -32,14 +34,6 @@ LEAST_FOR_SURFACE = 96  # of the default plan; `stratalux-fit run` says so
 
 def read(args, program, *arguments):
     return subprocess.run([args.bin / program, *map(str, arguments)], check=True, capture_output=True, text=True).stdout
-
-
-def logged(args, log, program, *arguments):
-    with open(log, "a") as out:
-        done = subprocess.run([args.bin / program, *map(str, arguments)], stdout=subprocess.PIPE, stderr=out, text=True)
-    if done.returncode not in (0, 3):  # 3: degraded, and complete as far as it goes
-        raise RuntimeError(f"{program} {' '.join(map(str, arguments))} ended with {done.returncode}: {log}")
-    return done.stdout
 
 
 def figures(metrics, geometry):
@@ -57,7 +51,7 @@ def fit(args, store, log, frames, whole, geometry):
     # Of the true surface what is lit is the truth's word in every row but that of an unthinned fit: so none is.
     asked = min(frames, whole - 1) if geometry == "truth" else frames
     options = ["run", "latest", "--store", store, "--maps", "off", "--geometry", geometry, "--json"]
-    done = json.loads(logged(args, log, "stratalux-fit", *options, "--frames", asked))
+    done = json.loads(called(args.bin, log, "stratalux-fit", *options, "--frames", asked))
     row = {"frames": frames, "geometry": geometry, "left_out": done.get("frames", {}).get("left_out", []),
            "read": done.get("frames", {}).get("kept", whole)}
     row.update(figures(json.loads((pathlib.Path(done["folder"]) / "metrics.json").read_text()), geometry))
@@ -65,10 +59,8 @@ def fit(args, store, log, frames, whole, geometry):
 
 
 def person(args, seed, plan):
-    store, log = args.work / f"person-{seed}", args.work / f"person-{seed}.log"
-    if not list(store.glob("sessions/*/manifest.json")):
-        logged(args, log, "stratalux-rig", "capture", "--simulate", "--exposure", "auto", "--seed", seed, "--size", args.size,
-               "--store", store)
+    options = ["--exposure", "auto", "--seed", seed, "--size", args.size]
+    store, log = captured(args.bin, args.work, f"person-{seed}", options)
     rows = []
     for geometry in args.geometry:
         for frames in args.frames:

@@ -44,6 +44,7 @@ done
 [ -z "$key" ] || gpg --list-secret-keys "$key" >/dev/null 2>&1 || fail "--sign $key: gpg has no such secret key (gpg --list-secret-keys)"
 mkdir -p "$out"
 out=$(cd "$out" && pwd)
+[ -z "$built" ] || built=$(cd "$built" && pwd)  # from where the user stands
 [ $install -eq 0 ] || "$root/scripts/install-deps.sh" --groups rig,fit,pack
 
 release=$(. /etc/os-release && echo "${VERSION_ID:-0}")
