@@ -7,6 +7,8 @@ set -euo pipefail
 store=$1 results=$2 shards=$3
 stratalux-fit batch plan --store "$store" --out "$results" ${STRATALUX_FIT_OPTIONS:-}
 # A shard that was stopped or killed goes on, twice; visitors who could not be fitted (exit code 3) are told by the merge.
+printf -v at ' --store %q --results %q' "$store" "$results"  # a shell reads the command once more
 parallel --retries 3 "${@:4}" \
-  "stratalux-fit batch shard {}/$shards --store $store --results $results --workers 1 || [ \$? -eq 3 ]" ::: $(seq "$shards") || true
+  "stratalux-fit batch shard {}/$shards$at --workers 1 || [ \$? -eq 3 ]" ::: $(seq "$shards") ||
+  echo "night: $? of $shards shards did not end; the merge says what is missing" >&2
 stratalux-fit batch merge "$results" --store "$store"

@@ -11,7 +11,7 @@ localrules: merge
 rule merge:
     input: expand("{results}/done/{i}-of-{n}", results=results, i=range(1, shards + 1), n=shards)
     output: touch(f"{results}/done/merged")
-    shell: "stratalux-fit batch merge {results} --store {store}"
+    shell: "stratalux-fit batch merge {results:q} --store {store:q}"
 
 # No output of its own: a shard that is stopped keeps what it has made, and goes on. Visitors who could not be fitted (exit
 # code 3) are told by the merge.
@@ -20,4 +20,4 @@ rule shard:
     output: touch(f"{results}/done/{{i}}-of-{{n}}")
     threads: 1
     retries: 3
-    shell: "stratalux-fit batch shard {wildcards.i}/{wildcards.n} --store {store} --results {results} --workers 1 --threads {threads} || [ $? -eq 3 ]"
+    shell: "stratalux-fit batch shard {wildcards.i}/{wildcards.n} --store {store:q} --results {results:q} --workers 1 --threads {threads} || [ $? -eq 3 ]"

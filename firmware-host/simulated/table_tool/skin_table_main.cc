@@ -231,6 +231,8 @@ Population Fitted(const SkinTable& table, const PeopleRequest& request, Logger& 
 
 int People(const PeopleRequest& request) {
   Logger logger;
+  if (request.csv == "-" && request.json)
+    return Report(logger, Status::Usage("--csv - and --json both want stdout: give --csv a file"));
   const auto table = SkinTable::Load(request.table.empty() ? SkinTable::DefaultPath() : request.table);
   if (!table.ok()) return Report(logger, table.status());
   if (table->nodes() == 1) return Report(logger, Status::Usage(request.table + ": a table of wax; people have skin"));
@@ -296,10 +298,12 @@ int Main(int argc, char** argv) {
   generate
       ->add_option("--scattering", scatterings,
                    "The table's nodes of scattering, rising, over that of tissue samples (living skin: 0.6 to 0.7)")
-      ->capture_default_str();
+      ->capture_default_str()
+      ->excludes(of_wax);
   std::vector<std::string> made;
   generate->add_option("--made", made, "Tables of these photons and this seed: their scatterings are not run again")
-      ->excludes(of_subcutis);
+      ->excludes(of_subcutis)
+      ->excludes(of_wax);
   generate->add_option("--out", out, "File to write")->required();
   auto* check =
       app.add_subcommand("check", "Regenerate one cell by other photons and compare; exit 1 beyond 4 standard errors");
