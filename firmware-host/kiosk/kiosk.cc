@@ -29,6 +29,7 @@ namespace {
 using Clock = std::chrono::steady_clock;
 
 constexpr int kReopenSeconds = 10;
+constexpr int kGraceSeconds = 10;  // for what is over its deadline, and was told to end, to come to its end
 constexpr auto kHousekeeping = std::chrono::seconds(10);
 constexpr int kLookMs = 500;        // for the watchdog, the clock and an operator whose stop came behind another
 constexpr int kStoppedLookMs = 20;  // a token that is stopped stays readable: nothing wakes us for the operator
@@ -109,6 +110,7 @@ class KioskLoop {
   [[nodiscard]] bool Ended() const {
     return state_.closed_for.Has(Closure::kShutdown) && state_.work == VisitState::Work::kNone;
   }
+  [[nodiscard]] bool Hangs() const;
   void Wait() const;
   void Hear();
   void HearRig();
@@ -194,9 +196,7 @@ Result<KioskReport> KioskLoop::Run() {
   while (!Ended() && !new_start_) {
     Wait();
     Hear();
-    // A work that never ends is the watchdog's: the machine has been safe since, and cannot go on.
-    const bool stuck = state_.phase == Phase::kSafe && state_.safe_for == Word::kStuck;
-    if (!stuck || state_.work == VisitState::Work::kNone) notice_.Alive();
+    if (!Hangs()) notice_.Alive();
   }
   front_.ServeWithdrawals(nullptr);
   notice_.Stopping();
@@ -204,6 +204,12 @@ Result<KioskReport> KioskLoop::Run() {
   report_.begun = state_.visit;
   report_.owed = state_.closed_for.Has(Closure::kUnforgotten);
   return report_;
+}
+
+// A job that never ends is the watchdog's, whatever is shown meanwhile: what comes behind it is never begun.
+bool KioskLoop::Hangs() const {
+  const std::optional<WorkInHand> work = worker_.in_hand();
+  return work && Clock::now() - work->since > (SecondsOf(work->deadline, kiosk_) + kGraceSeconds) * options_.second;
 }
 
 void KioskLoop::Wait() const {

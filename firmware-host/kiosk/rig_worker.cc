@@ -27,6 +27,13 @@ bool MakesLight(const VisitAction& job) {
          std::holds_alternative<action::StartCapture>(job);
 }
 
+Deadline DeadlineOf(const VisitAction& job) {
+  if (std::holds_alternative<action::Preview>(job)) return Deadline::kPosition;
+  if (std::holds_alternative<action::StartCapture>(job)) return Deadline::kCapture;
+  if (std::holds_alternative<action::CheckRig>(job)) return Deadline::kSelfcheck;
+  return std::holds_alternative<action::Recover>(job) ? Deadline::kReopen : Deadline::kForgetting;
+}
+
 // What the machine hears of a job that came to nothing.
 std::optional<VisitEvent> FailureOf(const VisitAction& job) {
   if (std::holds_alternative<action::StartCapture>(job) || std::holds_alternative<action::Preview>(job))
@@ -95,6 +102,11 @@ std::vector<VisitEvent> RigWorker::Take() {
   return std::exchange(told_, {});
 }
 
+std::optional<WorkInHand> RigWorker::in_hand() const {
+  const std::scoped_lock lock(mutex_);
+  return in_hand_;
+}
+
 VisitNames RigWorker::names() const {
   const std::scoped_lock lock(mutex_);
   return names_;
@@ -130,6 +142,7 @@ void RigWorker::Work() {
       jobs_.pop_front();
       lighting_ = MakesLight(job);
       cancelled_ = false;
+      in_hand_ = {DeadlineOf(job), std::chrono::steady_clock::now()};
     }
     // Of the libraries' own: no job may take the program with it, which would find the same again at its next start.
     try {
@@ -141,6 +154,7 @@ void RigWorker::Work() {
     {
       const std::scoped_lock lock(mutex_);
       lighting_ = cancelled_ = false;
+      in_hand_.reset();
     }
     // What we asked for is done. While door or E-STOP are open this fails: their own way out resets it then.
     if (stop_.reason() == StopReason::kVisitorLeft) {
@@ -163,6 +177,7 @@ void RigWorker::Do(const action::Preview& /*job*/) {
     if (seen && std::holds_alternative<event::Failed>(*seen)) return;
     std::unique_lock lock(mutex_);
     changed_.wait_for(lock, options_.look_pause, [this] { return cancelled_ || ending_; });
+    in_hand_->since = std::chrono::steady_clock::now();
   }
 }
 

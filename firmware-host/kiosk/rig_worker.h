@@ -3,10 +3,12 @@
 // job is its own: it forgets the visits that a killed program left without a ticket.
 #pragma once
 
+#include <chrono>
 #include <condition_variable>
 #include <deque>
 #include <functional>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <thread>
 #include <variant>
@@ -34,6 +36,12 @@ struct WorkerOptions {
   std::function<bool(Selfcheck)> checked = {};
   // Of forgettings: the first half on the worker's thread, the second on that of the search. May be empty.
   std::function<void(db::ForgetStep)> after_forget_step = {};
+};
+
+// What the worker is at: a job, of pre-scans one look.
+struct WorkInHand {
+  Deadline deadline = Deadline::kNone;  // by whose seconds it is to be over
+  std::chrono::steady_clock::time_point since;
 };
 
 // Whom a visit's sessions belong to: drawn by chance, kept nowhere else.
@@ -65,6 +73,8 @@ class RigWorker {
   // Readable when there is something to take.
   [[nodiscard]] int fd() const { return wake_.get(); }
   std::vector<VisitEvent> Take();
+  // nullopt: nothing, or what a killed program left, which a new start would find again.
+  [[nodiscard]] std::optional<WorkInHand> in_hand() const;
   // Of the visit whose capture was begun last.
   [[nodiscard]] VisitNames names() const;
 
@@ -105,6 +115,7 @@ class RigWorker {
   bool lighting_ = false;   // a job that makes light runs
   bool cancelled_ = false;  // it was told to end
   bool ending_ = false;
+  std::optional<WorkInHand> in_hand_;
   UniqueFd wake_;
   ForgetSearch search_;
   VisitForgetting forgetting_;

@@ -363,7 +363,9 @@ void Stepper::GoSafe(Word why) {
   Darken();
   // It was before what happens now: another one is needed.
   if (s_.work == Work::kReset) s_.work = Work::kRecover;
-  s_.safe_for = why;
+  // What hangs stays what is said, whatever comes on top of it.
+  const bool hangs = In(Phase::kSafe) && s_.safe_for == Word::kStuck && s_.work != Work::kNone;
+  if (!hangs || s_.work == Work::kRecover) s_.safe_for = why;
   Enter(Phase::kSafe, Deadline::kNone);
   Do(action::TellOperator{why});
   Show();
@@ -422,7 +424,8 @@ void Stepper::On(const event::Operator& ordered) {
     case OperatorCommand::kSelfcheck:
       return BeginSelfcheck();
     case OperatorCommand::kReset:
-      if (!In(Phase::kSafe) || !s_.interlock.empty() || s_.work != Work::kNone) return;
+      if (!In(Phase::kSafe) || s_.work == Work::kReset) return;
+      if (!s_.interlock.empty() || s_.work != Work::kNone) return Do(action::TellOperator{s_.safe_for});
       s_.work = Work::kReset;
       return Do(action::Recover{});
   }

@@ -33,6 +33,7 @@ class KioskTest : public ScratchFolderTest {
     if (!station_) Open();
     front_ = std::make_unique<ScriptedFront>(*station_->rig().simulation, visits, next);
     front_->on_show = on_show_;
+    front_->on_preview = on_preview_;
     front_->has_paper = has_paper_;
     auto report = RunKiosk(*station_, options_, *front_, stop_, logger_);
     EXPECT_TRUE(report.ok()) << report.status().message();
@@ -87,6 +88,7 @@ class KioskTest : public ScratchFolderTest {
   std::unique_ptr<CaptureStation> station_;
   std::unique_ptr<ScriptedFront> front_;
   std::function<void(const action::Show&)> on_show_;
+  std::function<void()> on_preview_;
   bool has_paper_ = true;
 };
 

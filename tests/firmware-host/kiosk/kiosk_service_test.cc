@@ -29,6 +29,14 @@ class KioskService : public KioskTest {
       exposures[session.info.attempt] = store->ListFrames(session.info.id)->front().record.exposure_ms;
     return exposures;
   }
+  // On the worker's thread, which hangs meanwhile: what systemd hears once the job is over its deadline and the grace,
+  // while the loop turns thrice at least.
+  static std::vector<std::string> HeardWhileItHangs(NotifySocket& systemd) {
+    std::this_thread::sleep_for(500ms);
+    static_cast<void>(systemd.Take());
+    std::this_thread::sleep_for(1500ms);
+    return systemd.Take();
+  }
 };
 
 // The lamps give three times their light from behind the first pre-scan on (white and black of four projectors).
@@ -93,15 +101,45 @@ TEST_F(KioskService, SignsOfLifeStopWhileItIsStuckAndComeBack) {
   options_.after_forget_step = [&](db::ForgetStep step) {
     if (step != db::ForgetStep::kIntent) return;
     for (int look = 0; look < 500 && !stuck; ++look) std::this_thread::sleep_for(10ms);
-    std::this_thread::sleep_for(50ms);
-    static_cast<void>(systemd.Take());
-    std::this_thread::sleep_for(1500ms);  // the loop turns thrice at least
-    meanwhile = systemd.Take();
+    meanwhile = HeardWhileItHangs(systemd);
   };
   Run({Manner::kWithdraws, Manner::kSensitive});
   EXPECT_TRUE(stuck);
   EXPECT_THAT(meanwhile, Not(Contains("WATCHDOG=1")));
   EXPECT_THAT(systemd.Take(), Contains("WATCHDOG=1"));
+}
+
+// The door takes the machine's own deadline with it.
+TEST_F(KioskService, SignsOfLifeStopForWorkThatHangsBehindAnOpenDoor) {
+  NotifySocket systemd(folder_ / "notify", 100ms);
+  options_.station.config.kiosk.forgetting_s = 5;
+  Open();
+  std::vector<std::string> meanwhile;
+  options_.after_forget_step = [&](db::ForgetStep step) {
+    if (step != db::ForgetStep::kIntent) return;
+    station_->rig().simulation->Happen(RigSignal::kDoor, SignalLevel::kActive);
+    meanwhile = HeardWhileItHangs(systemd);
+  };
+  Run({Manner::kWithdraws, Manner::kSensitive});
+  EXPECT_GT(front_->told[Word::kDoor], 1) << "a reset that is refused is told";
+  EXPECT_THAT(meanwhile, Not(Contains("WATCHDOG=1")));
+  EXPECT_THAT(systemd.Take(), Contains("WATCHDOG=1"));
+}
+
+// Visitors come and are timed out, one after the other: theirs wait behind it for ever.
+TEST_F(KioskService, SignsOfLifeStopForAPreScanThatHangs) {
+  NotifySocket systemd(folder_ / "notify", 100ms);
+  options_.station.config.kiosk.position_s = 5;
+  std::vector<std::string> meanwhile;
+  std::atomic<bool> over = false;
+  on_preview_ = [&] {
+    if (!over) meanwhile = HeardWhileItHangs(systemd);
+    over = true;
+  };
+  const KioskReport report = Run(60, [&](int) { return over ? Manner::kSensitive : Manner::kVisit; });
+  EXPECT_GT(report.ended[static_cast<size_t>(Word::kTimeOut)], 1);
+  EXPECT_TRUE(over);
+  EXPECT_THAT(meanwhile, Not(Contains("WATCHDOG=1")));
 }
 
 }  // namespace

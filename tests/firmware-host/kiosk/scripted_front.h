@@ -53,11 +53,15 @@ class ScriptedFront final : public KioskFront {
     return true;
   }
   void TellOperator(Word word) override { ++told[word]; }
+  void Preview(const FrameRecord& /*record*/, const Image<uint16_t>& /*pixels*/) override {
+    if (on_preview) on_preview();
+  }
 
   std::vector<ScriptedVisit> visits;
   std::map<Word, int> told;
   bool has_paper = true;  // tickets can be handed out
   std::function<void(const action::Show&)> on_show;
+  std::function<void()> on_preview;  // on the worker's thread
   // Beside the script.
   void Push(const VisitEvent& event);
 

@@ -69,7 +69,8 @@ void AddSafe(std::map<std::string, VisitState>& all) {
   VisitState ending = AfterCapture(Phase::kSafe, Deadline::kNone, Word::kEmergencyStop);
   ending.safe_for = Word::kEmergencyStop;
   ending.work = VisitState::Work::kCapture;
-  all["ending"] = ending;
+  all["ending"] = all["stuck"] = ending;
+  all["stuck"].word = all["stuck"].safe_for = Word::kStuck;
 }
 
 void AddClosed(std::map<std::string, VisitState>& all) {
