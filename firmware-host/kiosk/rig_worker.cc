@@ -156,12 +156,25 @@ void RigWorker::Work() {
       lighting_ = cancelled_ = false;
       in_hand_.reset();
     }
-    // What we asked for is done. While door or E-STOP are open this fails: their own way out resets it then.
-    if (stop_.reason() == StopReason::kVisitorLeft) {
-      if (const Status reset = station_.light().Reset(); !reset.ok())
-        logger_.Debug("not reset yet: " + reset.message());
-    }
+    SettleStop();
   }
+}
+
+void RigWorker::SettleStop() {
+  if (stop_.reason() != StopReason::kVisitorLeft) {
+    if (LightTaken()) Tell(event::Failed{true});
+    return;
+  }
+  // What we asked for is done.
+  const Status reset = station_.light().Reset();
+  if (reset.ok()) return;
+  // While door or E-STOP are open this fails: their own way out resets it then. Else a lamp may shine on nobody.
+  const RigEvents& events = station_.events();
+  const bool open = events.IsActive(RigSignal::kDoor) || events.IsActive(RigSignal::kEmergencyStop) ||
+                    events.IsActive(RigSignal::kLines);
+  if (open) return logger_.Debug("not reset yet: " + reset.message());
+  logger_.Error(reset.message());
+  Tell(event::Failed{true});
 }
 
 void RigWorker::Do(const action::Preview& /*job*/) {

@@ -96,6 +96,8 @@ class RigWorker {
   [[nodiscard]] CaptureRequest RequestFor(const action::StartCapture& job) const;
   // Stopped by nobody's wish.
   [[nodiscard]] bool LightTaken() const;
+  // After a job: takes a visitor's stop back, and tells what only an operator's reset does.
+  void SettleStop();
   void Tell(const VisitEvent& event);
   void Wake();
   [[nodiscard]] bool cancelled() const;

@@ -92,7 +92,7 @@ struct Captured {
 };
 // A pre-scan or a capture that could not be.
 struct Failed {
-  bool light_taken = false;
+  bool light_taken = false;  // or may shine still: also behind the answer of any other job that ends so
   friend bool operator==(const Failed&, const Failed&) = default;
 };
 struct Checked {

@@ -286,6 +286,8 @@ void Stepper::On(const event::Failed& failed) {
   if (capture) s_.work = Work::kNone;
   if (In(Phase::kCapture) || In(Phase::kPosition)) return failed.light_taken ? GoSafe(Word::kLight) : EndSpoilt();
   if (capture) DiscardUnwanted();
+  // Whoever waits for it: nothing but an operator's reset gives the light back.
+  if (failed.light_taken && !In(Phase::kSafe)) GoSafe(Word::kLight);
 }
 
 void Stepper::DiscardUnwanted() {

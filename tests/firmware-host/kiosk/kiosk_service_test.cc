@@ -1,13 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 // The kiosk on a small rig where something around it is wrong: too much light, no disk, another time, work that hangs.
 #include <atomic>
+#include <cerrno>
 #include <cstdio>
 #include <map>
 #include <mutex>
 #include <thread>
+#include <utility>
 
 #include <gmock/gmock.h>
 
+#include "firmware-host/kiosk/rig_worker.h"
 #include "tests/firmware-host/kiosk/kiosk_fixture.h"
 #include "tests/firmware-host/kiosk/notify_socket.h"
 
@@ -29,6 +32,15 @@ class KioskService : public KioskTest {
       exposures[session.info.attempt] = store->ListFrames(session.info.id)->front().record.exposure_ms;
     return exposures;
   }
+  // What was logged to `file_`.
+  std::string Said() {
+    std::string said(4096, ' ');
+    std::rewind(file_.get());
+    said.resize(std::fread(said.data(), 1, said.size(), file_.get()));
+    return said;
+  }
+
+  std::unique_ptr<std::FILE, int (*)(std::FILE*)> file_{std::tmpfile(), std::fclose};
   // On the worker's thread, which hangs meanwhile: what systemd hears once the job is over its deadline and the grace,
   // while the loop turns thrice at least.
   static std::vector<std::string> HeardWhileItHangs(NotifySocket& systemd) {
@@ -65,20 +77,15 @@ TEST_F(KioskService, WithoutRoomItIsClosedWithNumbersBeforeAnybodySitsDown) {
   Open();
   front_ = std::make_unique<ScriptedFront>(*station_->rig().simulation, 1, [](int) { return Manner::kVisit; });
   front_->on_show = on_show_;
-  std::FILE* file = std::tmpfile();
-  Logger logger(LogLevel::kWarning, file);
+  Logger logger(LogLevel::kWarning, file_.get());
   const auto report = RunKiosk(*station_, options_, *front_, stop_, logger);
   logger.Flush();
-  std::string said(4096, ' ');
-  std::rewind(file);
-  said.resize(std::fread(said.data(), 1, said.size(), file));
-  std::fclose(file);
   ASSERT_FALSE(shown.empty());
   for (const action::Show& screen : shown) EXPECT_EQ(screen.screen, Phase::kClosed);
   EXPECT_TRUE(shown.back().closures.Has(Closure::kSpace));
   ASSERT_TRUE(report.ok()) << report.status().message();
   EXPECT_EQ(report->begun, 0);
-  EXPECT_THAT(said, HasSubstr("/sys/no-store has 0.0 GB free, the attempts of a visit may take "));
+  EXPECT_THAT(Said(), HasSubstr("/sys/no-store has 0.0 GB free, the attempts of a visit may take "));
 }
 
 TEST_F(KioskService, AClockThatWasSetIsSaidAndTheVisitGoesOn) {
@@ -140,6 +147,86 @@ TEST_F(KioskService, SignsOfLifeStopForAPreScanThatHangs) {
   EXPECT_GT(report.ended[static_cast<size_t>(Word::kTimeOut)], 1);
   EXPECT_TRUE(over);
   EXPECT_THAT(meanwhile, Not(Contains("WATCHDOG=1")));
+}
+
+// In a self-check the guard takes the light, too: the token it stopped has no way out but a reset.
+TEST_F(KioskService, LightThatIsTakenInASelfcheckLeadsToSafe) {
+  bool asked = false;
+  on_show_ = [&](const action::Show& screen) {
+    if (screen.screen == Phase::kIdle && !std::exchange(asked, true))
+      front_->Push(event::Operator{OperatorCommand::kSelfcheck});
+    if (screen.screen == Phase::kSelfcheck) stop_.Request(StopReason::kLeaseExpired);
+  };
+  const KioskReport report = Run({Manner::kVisit, Manner::kVisit});
+  EXPECT_EQ(front_->told[Word::kLight], 1);
+  EXPECT_THAT(front_->visits[0].screens, Contains(Phase::kSafe));
+  EXPECT_EQ(report.tickets, 1) << "who comes after the reset finds it good";
+}
+
+TEST_F(KioskService, LightThatWasTakenFromWhoLeavesIsNotTheNextVisitors) {
+  bool taken = false;
+  on_show_ = [&](const action::Show& screen) {
+    if (screen.screen == Phase::kCapture && screen.of > 0 && 2 * screen.number >= screen.of &&
+        !std::exchange(taken, true))
+      stop_.Request(StopReason::kLeaseExpired);
+  };
+  const KioskReport report = Run({Manner::kLeavesCapture, Manner::kVisit});
+  EXPECT_THAT(front_->visits[0].screens, Contains(Phase::kSafe));
+  EXPECT_THAT(front_->visits[1].screens, Not(Contains(Phase::kSafe)));
+  EXPECT_EQ(report.tickets, 1);
+  CheckStore();
+}
+
+// A switch that answers no more, once it sticks.
+class StickingSwitch final : public LightSwitch {
+ public:
+  explicit StickingSwitch(LightSwitch& light) : light_(light) {}
+  int Set(bool on) noexcept override { return sticks ? EIO : light_.Set(on); }
+  int Read(bool& on) noexcept override { return sticks ? EIO : light_.Read(on); }
+  [[nodiscard]] const char* name() const noexcept override { return "a switch that sticks"; }
+  std::atomic<bool> sticks = false;
+
+ private:
+  LightSwitch& light_;
+};
+
+TEST_F(KioskService, ALightThatMayShineOnNobodyIsTold) {
+  Open();
+  SimulatedRig& rig = *station_->rig().simulation;
+  StickingSwitch light(*rig.switches()[0]);
+  std::vector<std::vector<LightSwitch*>> projectors;
+  for (LightSwitch* one : rig.switches()) projectors.push_back({projectors.empty() ? &light : one});
+  auto guard = LightGuard::Start(projectors, nullptr, stop_, {.clock = &rig.clock()});
+  ASSERT_TRUE(guard.ok()) << guard.status().message();
+  const_cast<OpenedRig&>(station_->rig()).light = std::move(*guard);
+  std::atomic<bool> looks = false, left = false;
+  Logger logger(LogLevel::kError, file_.get());
+  {
+    RigWorker worker(*station_,
+                     {options_.station,
+                      {},
+                      1ms,
+                      [&](const Shot&) {
+                        looks = true;
+                        for (int wait = 0; wait < 5000 && !left; ++wait) std::this_thread::sleep_for(1ms);
+                      }},
+                     stop_, logger);
+    worker.Begin(action::Preview{});
+    for (int wait = 0; wait < 5000 && !looks; ++wait) std::this_thread::sleep_for(1ms);
+    worker.LightOff();
+    light.sticks = true;
+    left = true;
+    std::vector<VisitEvent> heard;
+    for (int wait = 0; wait < 5000 && heard.empty(); ++wait) {
+      std::this_thread::sleep_for(1ms);
+      heard = worker.Take();
+    }
+    EXPECT_THAT(heard, ::testing::ElementsAre(VisitEvent(event::Failed{true})));
+    light.sticks = false;
+  }
+  logger.Flush();
+  EXPECT_THAT(Said(), HasSubstr("projector 0 may be lit still: a switch that sticks"));
+  station_.reset();
 }
 
 }  // namespace
