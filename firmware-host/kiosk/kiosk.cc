@@ -6,6 +6,7 @@
 #include <ctime>
 #include <filesystem>
 #include <limits>
+#include <optional>
 #include <string>
 #include <utility>
 
@@ -137,16 +138,19 @@ class KioskLoop {
   }
   void Perform(const action::Discard& action) {
     ++report_.discarded;
+    untaken_.reset();
     worker_.Begin(action);
   }
   void Perform(const action::Show& action);
   void Perform(const action::PrintTicket& action) {
-    // Its note stays, so that the next forgetting or the next start takes what nobody could ever take back.
-    if (!front_.GiveTicket(worker_.names().ticket))
-      return logger_.Error("a ticket could not be handed out: the visit has none and is not kept");
-    ++report_.tickets;
-    worker_.Begin(action);
+    untaken_ = action;
+    if (front_.GiveTicket(worker_.names().ticket)) KeepVisit();
   }
+  void KeepVisit() {
+    ++report_.tickets;
+    worker_.Begin(*std::exchange(untaken_, std::nullopt));
+  }
+  void LookForTicket();
   void Perform(const action::TellOperator& action);
   void Perform(const action::Count& action) { ++report_.ended[static_cast<size_t>(action.end)]; }
   void Perform(const action::Arm& action);
@@ -176,6 +180,7 @@ class KioskLoop {
   UniqueFd timer_;
   Clock::time_point next_housekeeping_;
   std::chrono::nanoseconds clock_offset_ = ClockOffset();
+  std::optional<action::PrintTicket> untaken_;  // nobody has the ticket yet
   bool short_of_space_ = false;
   bool new_start_ = false;
 };
@@ -196,6 +201,7 @@ Result<KioskReport> KioskLoop::Run() {
   while (!Ended() && !new_start_) {
     Wait();
     Hear();
+    LookForTicket();
     if (!Hangs()) notice_.Alive();
   }
   front_.ServeWithdrawals(nullptr);
@@ -210,6 +216,16 @@ Result<KioskReport> KioskLoop::Run() {
 bool KioskLoop::Hangs() const {
   const std::optional<WorkInHand> work = worker_.in_hand();
   return work && Clock::now() - work->since > (SecondsOf(work->deadline, kiosk_) + kGraceSeconds) * options_.second;
+}
+
+// Of a ticket that nobody took the note stays, so that the next forgetting or the next start takes what nobody could
+// ever take back.
+void KioskLoop::LookForTicket() {
+  if (!untaken_) return;
+  if (front_.TicketTaken()) return KeepVisit();
+  if (state_.phase == Phase::kThanks) return;
+  untaken_.reset();
+  logger_.Error("a ticket could not be handed out: the visit has none and is not kept");
 }
 
 void KioskLoop::Wait() const {

@@ -28,8 +28,10 @@ class KioskFront {
   // and Shutdown are heard; an operator was recognised before.
   virtual std::vector<VisitEvent> Take() = 0;
   virtual void Show(const action::Show& screen) = 0;
-  // False: it could not be handed out, and nobody has it. True says no more than that nothing failed.
+  // False: nobody has it, or nobody yet. True says no more than that nothing failed.
   [[nodiscard]] virtual bool GiveTicket(const std::string& code) = 0;
+  // After GiveTicket said false, until the next ticket: whether somebody has it by now.
+  [[nodiscard]] virtual bool TicketTaken() { return false; }
   virtual void TellOperator(Word word) = 0;
   // A frame of whoever sits there, while the screen is `position`; by the thread that works the rig, which waits
   // meanwhile. It must neither be stored nor leave the machine.

@@ -87,6 +87,7 @@ struct KioskPage::Impl {
   std::optional<StateWriter> days_kept;
   int64_t changes_kept = 0;
   SelfcheckTrend selfchecks;
+  bool ticket_fetched = false;
   std::string preview;  // JPEG
   std::optional<Clock::time_point> previewed;
   Clock::time_point beat = Clock::now();
@@ -217,6 +218,7 @@ Response KioskPage::Impl::Ticket() {
   {
     const std::lock_guard lock(mutex);
     if (state.shown().screen == Phase::kThanks) code = state.ticket();
+    ticket_fetched |= !code.empty();
   }
   if (code.empty()) return Response::Text(404, "no ticket is shown now");
   const auto picture = TicketPicture(WithCode(options.ticket_text, code));
@@ -424,7 +426,13 @@ void KioskPage::Show(const action::Show& show) {
 void KioskPage::ShowTicket(const std::string& code) {
   const std::lock_guard lock(impl_->mutex);
   impl_->metrics.Kept();
+  impl_->ticket_fetched = false;
   if (impl_->state.SetTicket(code)) impl_->Publish();
+}
+
+bool KioskPage::TicketFetched() const {
+  const std::lock_guard lock(impl_->mutex);
+  return impl_->ticket_fetched;
 }
 
 void KioskPage::ShowPreview(const FrameRecord& record, ImageView<const uint16_t> frame) {

@@ -67,6 +67,8 @@ class KioskPage {
   void Show(const action::Show& show);
   // Before the screen that thanks: shown on it, and gone with it.
   void ShowTicket(const std::string& code);
+  // A visitor's screen has asked for the last one's picture: an operator's, which looks on as well, does not.
+  [[nodiscard]] bool TicketFetched() const;
   // A look at whoever sits there, while the screen is kPosition; at most five a second are taken, others ignored.
   void ShowPreview(const FrameRecord& record, ImageView<const uint16_t> frame);
   void Tell(Word word);

@@ -26,8 +26,9 @@ class PageFront final : public KioskFront {
   void Show(const action::Show& screen) override { page_->Show(screen); }
   bool GiveTicket(const std::string& code) override {
     page_->ShowTicket(code);
-    return true;
+    return false;  // a screen has yet to fetch it
   }
+  bool TicketTaken() override { return page_->TicketFetched(); }
   void TellOperator(Word word) override { page_->Tell(word); }
   void Preview(const FrameRecord& record, const Image<uint16_t>& pixels) override {
     page_->ShowPreview(record, pixels);

@@ -9,6 +9,7 @@
 #include <poll.h>
 
 #include "db/catalogue/session_store.h"
+#include "db/privacy/open_visits.h"
 #include "db/privacy/ticket.h"
 #include "firmware-host/kiosk/kiosk.h"
 #include "tests/firmware-host/kiosk/operator_token.h"
@@ -88,7 +89,8 @@ TEST_F(PageFrontTest, AVisitOnASimulatedRigIsKeptAndWithdrawnByItsTicket) {
   EXPECT_EQ(Post("/operator/withdraw", {{"ticket", "7K3QZ-M0P4T-3"}}, keeper), 409) << "no kiosk runs yet";
   std::thread loop([&] {
     const auto report = RunKiosk(**station, options, *front_, stop, logger_);
-    EXPECT_TRUE(report.ok()) << report.status().message();
+    ASSERT_TRUE(report.ok()) << report.status().message();
+    EXPECT_EQ(report->tickets, 1);
   });
   Press("start", "idle");
   Press("not-sensitive", "question");
@@ -106,6 +108,30 @@ TEST_F(PageFrontTest, AVisitOnASimulatedRigIsKeptAndWithdrawnByItsTicket) {
   EXPECT_EQ(Post("/operator/withdraw", {{"ticket", ticket}}, keeper), 404) << "nothing is left of it";
   stop.Request(StopReason::kOperator);
   loop.join();
+}
+
+// The operator's page looks on at all of it; no screen of visitors is there.
+TEST_F(PageFrontTest, AVisitWhoseTicketNoScreenFetchedIsNotKept) {
+  KioskOptions options = SmallKiosk(folder_);
+  StopToken stop;
+  auto station = CaptureStation::Open(options.station, stop, logger_);
+  ASSERT_TRUE(station.ok()) << station.status().message();
+  Start();
+  std::thread loop([&] {
+    const auto report = RunKiosk(**station, options, *front_, stop, logger_);
+    ASSERT_TRUE(report.ok()) << report.status().message();
+    EXPECT_EQ(report->tickets, 0);
+  });
+  Press("start", "idle");
+  Press("not-sensitive", "question");
+  Press("agree", "consent");
+  Press("done", "thanks");
+  (void)Until("idle");
+  stop.Request(StopReason::kOperator);
+  loop.join();
+  const auto open = db::OpenVisits(folder_ / "store");
+  ASSERT_TRUE(open.ok()) << open.status().message();
+  EXPECT_EQ(open->size(), 1U) << "the next forgetting or start takes it";
 }
 
 }  // namespace
