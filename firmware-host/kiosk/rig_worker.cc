@@ -264,7 +264,8 @@ void RigWorker::Do(const action::CheckRig& /*job*/) {
   station_.Rest();
   std::optional<Selfcheck> figures;
   if (report.ok() && options_.checked) figures = SelfcheckOf(*report, check.exposure_ms);
-  Tell(event::Checked{passed, figures && options_.checked(std::move(*figures))});
+  const bool drifted = figures && options_.checked(std::move(*figures));
+  Tell(event::Checked{passed, drifted, LightTaken()});
 }
 
 void RigWorker::Do(const action::Recover& /*job*/) {

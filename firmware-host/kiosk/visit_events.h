@@ -97,7 +97,8 @@ struct Failed {
 };
 struct Checked {
   bool passed = false;
-  bool drifted = false;  // a figure is not where it usually is (selfcheck_trend.h)
+  bool drifted = false;      // a figure is not where it usually is (selfcheck_trend.h)
+  bool light_taken = false;  // as of Failed
   friend bool operator==(const Checked&, const Checked&) = default;
 };
 // The stop is over and lost devices are open again, or not.

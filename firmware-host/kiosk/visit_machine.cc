@@ -477,7 +477,7 @@ void Stepper::On(const event::Checked& checked) {
   if (!checked.passed) Do(action::TellOperator{Word::kSelfcheckFailed});
   if (checked.drifted) Do(action::TellOperator{Word::kDrift});
   s_.word = checked.passed ? Word::kNone : Word::kSelfcheckFailed;
-  Rest();
+  checked.light_taken ? GoSafe(Word::kLight) : Rest();
 }
 
 void Stepper::On(const event::Shutdown& /*event*/) {

@@ -57,7 +57,8 @@ struct EventText {
   std::string operator()(const event::Discarded& /*e*/) const { return "discarded"; }
   std::string operator()(const event::DiscardFailed& /*e*/) const { return "discard_failed"; }
   std::string operator()(const event::Checked& e) const {
-    return std::string(e.passed ? "checked passed" : "checked failed") + (e.drifted ? ", drifted" : "");
+    return std::string(e.passed ? "checked passed" : "checked failed") + (e.drifted ? ", drifted" : "") +
+           (e.light_taken ? ", light_taken" : "");
   }
   std::string operator()(const event::Recovered& e) const { return e.good ? "recovered" : "recovered not"; }
   std::string operator()(const event::InterlockChanged& e) const {

@@ -149,6 +149,7 @@ std::map<std::string, VisitEvent> TableEvents(const VisitState& state) {
       {"checked", event::Checked{true}},
       {"checked_bad", event::Checked{false}},
       {"checked_drift", event::Checked{true, true}},
+      {"checked_taken", event::Checked{false, false, true}},
       {"recovered", event::Recovered{true}},
       {"recovered_not", event::Recovered{false}},
       {"estop", event::InterlockChanged{Interlock::kEmergencyStop, true}},
