@@ -14,6 +14,8 @@ Result<std::unique_ptr<FrameSource>> LibcameraFrameSource::Open(const CameraWiri
       "again");
 }
 
+bool LibcameraFrameSource::IsBuilt() { return false; }
+
 bool LibcameraFrameSource::IsThere(const CameraWiring&) { return false; }
 
 }  // namespace stratalux::rig

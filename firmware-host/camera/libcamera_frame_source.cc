@@ -501,6 +501,7 @@ Result<std::unique_ptr<FrameSource>> LibcameraFrameSource::Open(const CameraWiri
   return std::unique_ptr<FrameSource>(std::move(camera));
 }
 
+bool LibcameraFrameSource::IsBuilt() { return true; }
 bool LibcameraFrameSource::IsThere(const CameraWiring& wiring) { return Manager::Lists(wiring.device); }
 
 }  // namespace stratalux::rig

@@ -49,6 +49,8 @@ class LibcameraFrameSource {
   // such camera; kUsage: it lacks that format or size, or this program was built without libcamera; kBusy: another
   // program has it, or this process already has one. Thread-bound.
   static Result<std::unique_ptr<FrameSource>> Open(const CameraWiring& wiring, Logger& logger);
+  // False: this program was built without libcamera.
+  [[nodiscard]] static bool IsBuilt();
   // Whether libcamera lists the camera. True where nobody can tell, as long as this process never opened one.
   // Reentrant.
   [[nodiscard]] static bool IsThere(const CameraWiring& wiring);

@@ -133,6 +133,19 @@ Status OpenedRig::ReopenCamera(const CameraWiring& wiring, Logger& logger) {
   return Status::Ok();
 }
 
+Result<std::unique_ptr<FrameSource>> OpenCameraAtStart(const CameraWiring& wiring, CameraAtStart at_start,
+                                                       RigEvents& events, Logger& logger) {
+  Result<std::unique_ptr<FrameSource>> camera = OpenCamera(wiring, logger);
+  // Another start would find the same. What the camera itself says may be otherwise soon: one that settles, a second
+  // one that goes.
+  const bool hopeless = wiring.backend == CameraBackend::kNone ||
+                        (wiring.backend == CameraBackend::kLibcamera && !LibcameraFrameSource::IsBuilt());
+  if (camera.ok() || hopeless || at_start == CameraAtStart::kNeeded) return camera;
+  logger.Warning("without a camera until it comes: " + camera.status().message());
+  events.Tell(RigSignal::kCamera, SignalLevel::kActive, MonotonicNow());
+  return std::unique_ptr<FrameSource>(std::make_unique<NoCamera>(wiring.pace, camera.status()));
+}
+
 Result<OpenedRig> OpenRig(const RigConfig& config, const std::optional<SimulatedRigOptions>& simulated, StopToken& stop,
                           Logger& logger, CameraAtStart at_start) {
   SLX_ASSIGN_OR_RETURN(const MemoryLayout layout, LayOutMemories(config.plan, config.memory));
@@ -175,16 +188,7 @@ Result<OpenedRig> OpenRig(const RigConfig& config, const std::optional<Simulated
   if (!config.gpio.door) logger.Warning("no door is wired ([gpio] door): light can go on while the box is open");
   if (const Status kept = KeepLights(StateFolder(), LightsOf(config)); !kept.ok())
     logger.Warning("`stratalux-rig safe` will need the configuration: " + kept.message());
-  Result<std::unique_ptr<FrameSource>> camera = OpenCamera(config.camera, logger);
-  if (!camera.ok() && (at_start == CameraAtStart::kNeeded || camera.status().code() == StatusCode::kUsage))
-    return camera.status();
-  if (camera.ok()) {
-    rig.camera = std::move(camera).value();
-  } else {
-    logger.Warning("without a camera until it comes: " + camera.status().message());
-    rig.camera = std::make_unique<NoCamera>(config.camera.pace, camera.status());
-    rig.events->Tell(RigSignal::kCamera, SignalLevel::kActive, MonotonicNow());
-  }
+  SLX_ASSIGN_OR_RETURN(rig.camera, OpenCameraAtStart(config.camera, at_start, *rig.events, logger));
   Result<std::unique_ptr<NodeWatch>> watch = WatchCamera(config.camera, *rig.events);
   if (!watch.ok()) logger.Warning("nobody sees the camera being unplugged: " + watch.status().message());
   if (watch.ok()) rig.camera_watch = std::move(watch).value();

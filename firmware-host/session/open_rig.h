@@ -40,9 +40,13 @@ struct OpenedRig {
   [[nodiscard]] std::function<void(std::chrono::nanoseconds)> wait() const;
 };
 
-// kMayComeLater: without a camera the rig opens all the same, each use says why there is none, and RigSignal::kCamera
-// says that it is away.
+// kMayComeLater: without a camera the rig opens all the same, also where one is there that is not as the configuration
+// has it; each use says why there is none, and RigSignal::kCamera says that it is away.
 enum class CameraAtStart : uint8_t { kNeeded, kMayComeLater };
+
+// The camera, as OpenRig opens it. kUsage: the configuration names none, or one of a back-end that this build lacks.
+[[nodiscard]] Result<std::unique_ptr<FrameSource>> OpenCameraAtStart(const CameraWiring& wiring, CameraAtStart at_start,
+                                                                     RigEvents& events, Logger& logger);
 
 // `simulated` set: that rig. Else the configuration's devices. Their pattern memories hold what `config` lays out.
 // kUsage where the configuration names no devices or this build lacks their back-end; kNotFound, kBusy and kFailed name

@@ -8,6 +8,7 @@
 #include <linux/videodev2.h>
 
 #include "firmware-host/camera/v4l2_frame_source.h"
+#include "firmware-host/session/open_rig.h"
 #include "tests/firmware-host/camera/descriptors.h"
 #include "tests/firmware-host/camera/scripted_v4l2.h"
 #include "tests/support/scratch_folder.h"
@@ -135,6 +136,22 @@ TEST_F(V4l2UnplugTest, OneThatComesBackInTimeGoesOn) {
   ASSERT_TRUE(last.has_value() && next.has_value());
   EXPECT_GT(next->sequence, last->sequence + 1);
   EXPECT_EQ(Descriptors(), open);
+}
+
+// A firmware that counts otherwise after the boot's power, a second camera of the kind: the program must not end of it.
+TEST_F(V4l2UnplugTest, OneThatIsNotAsConfiguredMayComeLaterAndNoneIsRefused) {
+  StopToken stop;
+  RigEvents events(stop);
+  wiring_.width = ScriptedV4l2::kWidth + 2;
+  EXPECT_EQ(OpenCameraAtStart(wiring_, CameraAtStart::kNeeded, events, logger_).status().code(), StatusCode::kUsage);
+  EXPECT_FALSE(events.IsActive(RigSignal::kCamera));
+  auto camera = OpenCameraAtStart(wiring_, CameraAtStart::kMayComeLater, events, logger_);
+  ASSERT_TRUE(camera.ok()) << camera.status().message();
+  EXPECT_THAT((*camera)->Start().message(), HasSubstr("[camera] asks for 66x48"));
+  EXPECT_TRUE(events.IsActive(RigSignal::kCamera)) << "away, until an opening goes well";
+  wiring_.backend = CameraBackend::kNone;
+  EXPECT_EQ(OpenCameraAtStart(wiring_, CameraAtStart::kMayComeLater, events, logger_).status().code(),
+            StatusCode::kUsage);
 }
 
 }  // namespace
