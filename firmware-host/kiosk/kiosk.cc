@@ -14,15 +14,14 @@
 #include <sys/timerfd.h>
 #include <unistd.h>
 
-#include "db/catalogue/calibration_store.h"
 #include "db/catalogue/consent.h"
 #include "db/privacy/open_visits.h"
 #include "firmware-host/kiosk/rig_worker.h"
 #include "firmware-host/kiosk/selfcheck_keeper.h"
 #include "firmware-host/kiosk/service_notice.h"
+#include "firmware-host/kiosk/store_watch.h"
 #include "firmware-host/kiosk/visit_machine.h"
 #include "firmware-host/session/store_disk.h"
-#include "shared/base/formatted.h"
 
 namespace stratalux::rig {
 namespace {
@@ -103,6 +102,7 @@ class KioskLoop {
                  [&front](const Shot& shot) { front.Preview(shot.record, shot.pixels); },
                  [this](Selfcheck check) { return KeepSelfcheck(std::move(check)); }, options.after_forget_step},
                 stop, logger),
+        store_(options.station, rules, logger),
         timer_(timerfd_create(CLOCK_MONOTONIC, TFD_CLOEXEC | TFD_NONBLOCK)) {}
 
   Result<KioskReport> Run();
@@ -159,10 +159,7 @@ class KioskLoop {
   [[nodiscard]] std::chrono::nanoseconds ClockOffset() const {
     return std::chrono::nanoseconds(options_.wall().ns - MonotonicNow().ns);
   }
-  void SayWhetherShort(const event::Space& space);
   bool KeepSelfcheck(Selfcheck check);
-  [[nodiscard]] event::Space SpaceLeft() const;
-  [[nodiscard]] event::Calibration CalibrationAtHand() const;
   [[nodiscard]] event::Hours HoursNow() const { return {!kiosk_.hours || kiosk_.hours->IsOpenAt(MinuteOfDay())}; }
 
   CaptureStation& station_;
@@ -177,11 +174,11 @@ class KioskLoop {
   ServiceNotice notice_;
   SelfcheckKeeper selfchecks_;  // the worker's
   RigWorker worker_;
+  StoreWatch store_;
   UniqueFd timer_;
   Clock::time_point next_housekeeping_;
   std::chrono::nanoseconds clock_offset_ = ClockOffset();
   std::optional<action::PrintTicket> untaken_;  // nobody has the ticket yet
-  bool short_of_space_ = false;
   bool new_start_ = false;
 };
 
@@ -283,10 +280,8 @@ void KioskLoop::HearRig() {
 
 void KioskLoop::KeepHouse() {
   next_housekeeping_ = Clock::now() + kHousekeeping;
-  const event::Space space = SpaceLeft();
-  SayWhetherShort(space);
-  Feed(space);
-  Feed(CalibrationAtHand());
+  Feed(store_.Space());
+  Feed(store_.Calibration());
   Feed(HoursNow());
 }
 
@@ -321,15 +316,6 @@ void KioskLoop::Perform(const action::Arm& action) {
   timerfd_settime(timer_.get(), 0, &spec, nullptr);
 }
 
-void KioskLoop::SayWhetherShort(const event::Space& space) {
-  const bool was = std::exchange(short_of_space_, space.bytes < rules_.space_bytes);
-  if (was || !short_of_space_) return;
-  logger_.Warning("closed: " + options_.station.config.store.folder + " has " +
-                  Formatted("%.1f GB free, the attempts of a visit may take %.1f GB",
-                            1e-9 * static_cast<double>(space.bytes), 1e-9 * static_cast<double>(rules_.space_bytes)) +
-                  "; free some (stratalux-db purge), or move the store");
-}
-
 // On the worker's thread.
 bool KioskLoop::KeepSelfcheck(Selfcheck check) {
   check.at = options_.wall();
@@ -339,26 +325,6 @@ bool KioskLoop::KeepSelfcheck(Selfcheck check) {
     logger_.Write(LogLevel::kWarning, "self-check: " + ToText(drift, trend.days), {{"STRATALUX_KIOSK", "drift"}});
   front_.ShowSelfchecks(trend);
   return !trend.drifts.empty();
-}
-
-event::Space KioskLoop::SpaceLeft() const {
-  std::error_code error;
-  const auto space = std::filesystem::space(ExistingFolder(options_.station.config.store.folder), error);
-  return {error ? INT64_MAX : static_cast<int64_t>(space.available)};
-}
-
-// One that is a file, or not wanted, was chosen by the operator.
-event::Calibration KioskLoop::CalibrationAtHand() const {
-  const RigConfig& config = options_.station.config;
-  const std::string& asked = config.calibration;
-  const bool simulated = options_.station.simulated.has_value();
-  const bool by_operator = asked == "none" || asked.find('/') != std::string::npos || asked.ends_with(".json");
-  if (by_operator || (simulated && (asked.empty() || asked == "exact"))) return {true, 0};
-  const auto found =
-      db::FindCalibration(config.store.folder, {config.store.rig, simulated}, asked.empty() ? "latest" : asked);
-  if (!found.ok()) logger_.Debug("no calibration: " + found.status().message());
-  if (!found.ok()) return {false, 0};
-  return {true, static_cast<int>(std::max(0.0, found->AgeDays(WallNow())))};
 }
 
 }  // namespace
