@@ -334,7 +334,7 @@ void KioskPage::Impl::OpenDays() {
   }
   days.CutOff();
   metrics = KioskMetrics(std::move(days));
-  days_kept.emplace(file, logger);
+  if (taken.code() != StatusCode::kFailed) days_kept.emplace(file, logger);
   KeepDays();
 }
 

@@ -55,6 +55,7 @@ SelfcheckKeeper::SelfcheckKeeper(std::filesystem::path file, Logger& logger) : f
   if (taken.ok() || taken.code() == StatusCode::kNotFound) return;
   note_ = taken.message();
   logger_.Warning("the trend of self-checks begins anew: " + note_);
+  if (taken.code() == StatusCode::kFailed) file_.clear();
 }
 
 void SelfcheckKeeper::Add(Selfcheck check) {

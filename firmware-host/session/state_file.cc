@@ -53,6 +53,21 @@ Result<std::string> ReadOwn(const fs::path& file) {
   return text;
 }
 
+// What was read: kNewerSchema, or kIntegrity where it is not what we write.
+Status Parse(const fs::path& file, const std::string& text, int schema,
+             const std::function<void(const std::string& json)>& take) {
+  try {
+    const Json json = Json::parse(text);
+    if (WholeAt<int64_t>(json, "schema") != schema)
+      return Status(StatusCode::kNewerSchema, file.string() + ": schema " + json.at("schema").dump() +
+                                                  ", this program knows " + std::to_string(schema));
+    take(text);
+    return Status::Ok();
+  } catch (const Json::exception& error) {
+    return Status::Integrity(file.string() + " is not what `stratalux-rig` writes: " + error.what());
+  }
+}
+
 // Two programs write one after the other. Who holds on to it (anybody who may read the folder can) stops nobody for
 // long.
 Result<UniqueFd> LockFolder(const fs::path& folder) {
@@ -92,27 +107,26 @@ Status KeepState(const fs::path& file, const std::string& json) {
 
 Status ReadState(const fs::path& file, int schema, const std::function<void(const std::string& json)>& take) {
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadOwn(file));
-  try {
-    const Json json = Json::parse(text);
-    if (WholeAt<int64_t>(json, "schema") != schema)
-      return Status(StatusCode::kNewerSchema, file.string() + ": schema " + json.at("schema").dump() +
-                                                  ", this program knows " + std::to_string(schema));
-    take(text);
-    return Status::Ok();
-  } catch (const Json::exception& error) {
-    return Status::Failed(file.string() + " is not what `stratalux-rig` writes: " + error.what());
-  }
+  const Status taken = Parse(file, text, schema, take);
+  return taken.code() == StatusCode::kIntegrity ? Status::Failed(taken.message()) : taken;
 }
 
 Status TakeState(const fs::path& file, int schema, const std::function<void(const std::string& json)>& take) {
-  const Status taken = ReadState(file, schema, take);
-  if (taken.ok() || taken.code() == StatusCode::kNotFound) return taken;
-  const fs::path aside = file.string() + (taken.code() == StatusCode::kNewerSchema ? ".newer" : ".damaged");
+  const Result<std::string> text = ReadOwn(file);
+  if (text.status().code() == StatusCode::kNotFound) return text.status();
+  if (!text.ok())
+    return Status::Failed(text.status().message() + "; it stays as it is, and this program keeps nothing in its place");
+  const Status taken = Parse(file, *text, schema, take);
+  if (taken.ok()) return taken;
+  const std::string aside = file.string() + (taken.code() == StatusCode::kNewerSchema ? ".newer" : ".damaged");
+  fs::path to = aside;
   std::error_code error;
-  fs::rename(file, aside, error);
-  const std::string where =
-      error ? "; it could not be set aside: " + error.message() : "; set aside as " + aside.string();
-  return {taken.code(), taken.message() + where};
+  for (int n = 2; fs::exists(fs::symlink_status(to, error)); ++n) to = aside + "-" + std::to_string(n);
+  fs::rename(file, to, error);
+  if (error)
+    return Status::Failed(taken.message() + "; it could not be set aside: " + error.message() +
+                          "; this program keeps nothing in its place");
+  return {taken.code(), taken.message() + "; set aside as " + to.string()};
 }
 
 }  // namespace stratalux::rig

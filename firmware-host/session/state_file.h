@@ -26,9 +26,10 @@ namespace stratalux::rig {
 [[nodiscard]] Status ReadState(const std::filesystem::path& file, int schema,
                                const std::function<void(const std::string& json)>& take);
 
-// The same for a file that the program goes on without: one that is there and cannot be used is renamed, to FILE.newer
-// (kNewerSchema) or FILE.damaged, in the place of an earlier one, so that the next KeepState destroys nothing. The
-// message says so.
+// The same for a file that the program goes on without. One that was read and cannot be used (kNewerSchema; kIntegrity:
+// not what we write) is renamed, to FILE.newer or FILE.damaged, or where that is taken to FILE.damaged-2 and so on, so
+// that the next KeepState destroys nothing. One that could not be read, or may be somebody else's (kFailed), stays: who
+// is told so keeps nothing in its place. The message says which.
 [[nodiscard]] Status TakeState(const std::filesystem::path& file, int schema,
                                const std::function<void(const std::string& json)>& take);
 

@@ -155,6 +155,19 @@ TEST_F(KioskDays, AFileThatIsDamagedOrNewerIsSaidAndSetAside) {
   }
 }
 
+TEST_F(KioskDays, AFileThatMayBeSomebodyElsesIsSaidAndLeft) {
+  const std::string text = R"({"schema": 1})";
+  Write(text);
+  fs::permissions(File(), fs::perms::all);
+  Start();
+  Refuse();
+  ASSERT_EQ(Status()["notes"].size(), 1U);
+  EXPECT_THAT(Status()["notes"][0].get<std::string>(), HasSubstr("it stays as it is"));
+  EXPECT_EQ(Status()["today"]["visits_begun"], 1);
+  kiosk_.reset();
+  EXPECT_EQ(Read(File()), text);
+}
+
 TEST_F(KioskDays, AFullDiskIsSaidAndTheKioskGoesOn) {
   Start();
   Refuse();

@@ -55,6 +55,16 @@ TEST_F(SelfcheckKeeping, SaysWhatIsDamagedOrNewerSetsItAsideAndGoesOn) {
   }
 }
 
+TEST_F(SelfcheckKeeping, WhatMayBeSomebodyElsesIsSaidAndLeft) {
+  SelfcheckKeeper(file_, logger_).Add(Check(1000.0));
+  fs::permissions(file_, fs::perms::all);
+  SelfcheckKeeper keeper(file_, logger_);
+  keeper.Add(Check(2000.0));
+  EXPECT_THAT(keeper.trend().note, HasSubstr("it stays as it is"));
+  fs::permissions(file_, fs::perms::owner_read | fs::perms::owner_write);
+  EXPECT_EQ(SelfcheckKeeper(file_, logger_).trend().checks.size(), 1U);
+}
+
 TEST_F(SelfcheckKeeping, WithoutADiskIsSaidAndTheTrendIsOfThisProgram) {
   SelfcheckKeeper keeper("/nonexistent/selfchecks.json", logger_);
   keeper.Add(Check(1000.0));

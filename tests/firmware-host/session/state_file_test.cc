@@ -103,6 +103,34 @@ TEST_F(StateFile, ThatCannotBeUsedIsSetAside) {
   EXPECT_TRUE(fs::exists(File()));
 }
 
+TEST_F(StateFile, ThatIsSetAsideTakesNobodysPlace) {
+  const auto none = [](const std::string&) {};
+  const auto text = [](const fs::path& file) {
+    std::string line;
+    std::getline(std::ifstream(file) >> std::ws, line);
+    return line;
+  };
+  const std::string aside = File().string() + ".damaged";
+  for (const char* damaged : {"{1", "{2", "{3"}) {
+    ASSERT_TRUE(KeepState(File(), damaged).ok());
+    EXPECT_EQ(TakeState(File(), 1, none).code(), StatusCode::kIntegrity);
+  }
+  EXPECT_EQ(text(aside), "{1");
+  EXPECT_EQ(text(aside + "-2"), "{2");
+  EXPECT_EQ(text(aside + "-3"), "{3");
+}
+
+// Another account's, or of rights that were opened: who looks after it may still want it.
+TEST_F(StateFile, ThatMayBeSomebodyElsesStaysWhereItIs) {
+  ASSERT_TRUE(KeepState(File(), R"({"schema": 1})").ok());
+  fs::permissions(File(), fs::perms::all);
+  const Status taken = TakeState(File(), 1, [](const std::string&) {});
+  EXPECT_EQ(taken.code(), StatusCode::kFailed);
+  EXPECT_THAT(taken.message(), HasSubstr("it stays as it is"));
+  EXPECT_TRUE(fs::exists(File()));
+  EXPECT_FALSE(fs::exists(File().string() + ".damaged"));
+}
+
 TEST_F(StateFile, OfAWriterIsTheNewestWhenItGoes) {
   Logger logger{LogLevel::kError};
   {
