@@ -171,7 +171,7 @@ Status Session::Acquire(const std::string& id) {
   name_ = camera_->id();
   if (camera_->acquire() != 0) {
     camera_.reset();
-    return Status::Busy(name_ + ": another program uses this camera");
+    return Status::Busy(name_ + ": another program uses this camera, or this one gave it up; start that anew");
   }
   camera_->requestCompleted.connect(this, &Session::OnCompleted);
   camera_->disconnected.connect(this, &Session::OnGone);
@@ -344,11 +344,10 @@ Status Camera::GiveUp(const std::string& why, Failure failure) {
   // from here.)
   static std::vector<std::shared_ptr<Session>>& left_behind = *new std::vector<std::shared_ptr<Session>>;
   left_behind.push_back(std::exchange(session_, nullptr));
-  const bool may_reopen = failure == Failure::kDevice;
-  why_ = why + "; check the camera and its cable" +
-         (may_reopen ? ": it is opened again when it is back"
-                     : ", reload its driver if need be, and start the program anew");
-  if (may_reopen) camera_in_use = false;
+  why_ = why + "; check the camera and its cable: " +
+         (failure == Failure::kDevice ? "unplugged and back it is opened again; else " : "") +
+         "reload its driver if need be, and start the program anew";
+  if (failure == Failure::kDevice) camera_in_use = false;
   return Status::Failed(why_);
 }
 

@@ -169,6 +169,27 @@ TEST_F(LibcameraUnplugTest, OneThatWentWhileNobodyCapturedIsOpenedAgain) {
   ExpectFrame(*camera);
 }
 
+// It is still there, and what was given up has it: a new start, or its plug, brings it back, and that is what is said.
+TEST_F(LibcameraUnplugTest, OneThatWasGivenUpWithoutAnUnplugSaysWhatBringsItBack) {
+  auto camera = Open();
+  ASSERT_NE(camera, nullptr);
+  fake.cancel_frames = true;
+  ASSERT_TRUE(camera->Start().ok());
+  const Status failed = WaitForTheEnd(*camera);
+  fake.cancel_frames = false;
+  EXPECT_THAT(failed.message(), HasSubstr("imx: 5 requests in a row failed"));
+  EXPECT_THAT(failed.message(), HasSubstr("unplugged and back it is opened again; else"));
+  EXPECT_THAT(failed.message(), HasSubstr("start the program anew"));
+  camera.reset();
+  EXPECT_THAT(Refusal().message(), HasSubstr("or this one gave it up; start that anew"));
+  libcamera::Unplug("imx");
+  libcamera::Plug("imx");
+  camera = Open();
+  ASSERT_NE(camera, nullptr);
+  ASSERT_TRUE(camera->Start().ok());
+  ExpectFrame(*camera);
+}
+
 // A thread is stuck inside libcamera: nothing of it may be touched any more.
 TEST_F(LibcameraUnplugTest, AfterACallThatHangsThisProcessOpensNoOther) {
   const auto hang = [this] {

@@ -32,6 +32,7 @@ struct Fake {
   std::vector<std::weak_ptr<Camera>> open;
   std::atomic<int> managers = 0;
   std::atomic<bool> hang_in_start = false, refuse_acquire = false, refuse_configure = false, refuse_buffers = false;
+  std::atomic<bool> cancel_frames = false;
 };
 inline Fake fake;
 
@@ -259,6 +260,7 @@ class Camera {
     timespec now{};
     clock_gettime(CLOCK_MONOTONIC, &now);
     FrameMetadata& metadata = request->findBuffer(&stream_)->metadata_;
+    metadata.status = fake.cancel_frames ? FrameMetadata::FrameCancelled : FrameMetadata::FrameSuccess;
     metadata.sequence = sequence_++;
     metadata.timestamp = static_cast<uint64_t>(now.tv_sec) * 1'000'000'000U + static_cast<uint64_t>(now.tv_nsec);
     requestCompleted.emit(request);
