@@ -114,7 +114,8 @@ class ForgetProof {
   // Whether a page of the index still holds what it once moved elsewhere.
   [[nodiscard]] bool NeedsIndexRewritten() const;
   // Under the store's write lock, seconds for a large index; and searches it again. kBusy while a session is written.
-  Status RewriteIndex();
+  // `goes_on`, asked all along, may end it: kTryAgain, and the index is as it was.
+  Status RewriteIndex(const std::function<bool()>& goes_on = {});
   // What was not clean stays begun: the next BeginForget takes it up.
   Result<ForgetReport> Certify();
 

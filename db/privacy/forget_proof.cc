@@ -7,6 +7,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "db/base/vacuum.h"
 #include "db/base/write_lock.h"
 #include "db/catalogue/ledger_follow.h"
 #include "db/ledger/ledger.h"
@@ -135,12 +136,12 @@ Status ForgetProof::Search(Logger& logger, const std::function<bool()>& goes_on)
 bool ForgetProof::NeedsIndexRewritten() const { return HoldsOfIndex(removed_->scan); }
 
 // Written anew, no page ever held it.
-Status ForgetProof::RewriteIndex() {
+Status ForgetProof::RewriteIndex(const std::function<bool()>& goes_on) {
   Removed& r = *removed_;
   {
     SLX_ASSIGN_OR_RETURN(const auto lock, WriteLock::Take(r.store));
     SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(r.store, AccessMode::kReadWrite));
-    SLX_RETURN_IF_ERROR(index.connection().Execute("VACUUM"));
+    SLX_RETURN_IF_ERROR(Vacuum(index.connection(), goes_on));
     SLX_RETURN_IF_ERROR(Checkpoint(index.connection()));
   }
   SLX_ASSIGN_OR_RETURN(const auto again, ScanIndex(r.store, r.intents, r.plan));

@@ -3,6 +3,7 @@
 
 #include <chrono>
 #include <exception>
+#include <future>
 #include <string>
 #include <utility>
 
@@ -16,7 +17,8 @@ namespace {
 
 constexpr auto kBusyPause = std::chrono::seconds(1);  // while another program writes to the store
 
-// Of this thread alone. What the system refuses costs the search its politeness, nothing else.
+// Of this thread alone, for its whole life: who has no special rights cannot go back. What the system refuses costs the
+// search its politeness, nothing else.
 void GiveWay() {
   constexpr int kLowest = 19;
   const auto thread = static_cast<id_t>(syscall(SYS_gettid));
@@ -62,8 +64,12 @@ bool ForgetSearch::goes_on() const {
   return !ending_;
 }
 
+bool ForgetSearch::at_rest() const {
+  const std::scoped_lock lock(mutex_);
+  return rest_ && !ending_;
+}
+
 void ForgetSearch::Work() {
-  GiveWay();
   while (true) {
     std::unique_lock lock(mutex_);
     changed_.wait(lock, [this] { return ending_ || waiting_; });
@@ -82,7 +88,12 @@ void ForgetSearch::Work() {
 }
 
 void ForgetSearch::Prove(db::ForgetProof proof) {
-  Status searched = proof.Search(logger_, [this] { return goes_on(); });
+  // What follows holds locks that others wait for, and is done at the priority of all.
+  std::future<Status> search = std::async(std::launch::async, [&] {
+    GiveWay();
+    return proof.Search(logger_, [this] { return goes_on(); });
+  });
+  Status searched = search.get();
   if (searched.ok() && proof.NeedsIndexRewritten()) searched = RewriteIndex(proof);
   if (!goes_on()) return;
   if (!searched.ok()) {
@@ -99,7 +110,8 @@ void ForgetSearch::Prove(db::ForgetProof proof) {
   if (!report.ok() || !report->leftovers.empty()) found_();
 }
 
-// When nobody is served, and the worker writes nothing: whoever comes then has questions to answer first.
+// When nobody is served, and the worker writes nothing. Whoever comes ends it, as does the program's end; it begins
+// anew when they are gone.
 Status ForgetSearch::RewriteIndex(db::ForgetProof& proof) {
   while (true) {
     {
@@ -111,8 +123,8 @@ Status ForgetSearch::RewriteIndex(db::ForgetProof& proof) {
         now = rest_;
       }
       if (now) {
-        Status rewritten = proof.RewriteIndex();
-        if (rewritten.code() != StatusCode::kBusy) return rewritten;
+        Status rewritten = proof.RewriteIndex([this] { return at_rest(); });
+        if (rewritten.code() != StatusCode::kBusy && rewritten.code() != StatusCode::kTryAgain) return rewritten;
       }
     }
     std::unique_lock lock(mutex_);

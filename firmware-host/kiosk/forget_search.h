@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// ForgetSearch: the second half of forgettings, search and certificate, one after another on a thread of its own that
-// every other one goes before. Visits, lights and the program's end never wait for it.
+// ForgetSearch: the second half of forgettings, search and certificate, one after another on threads of its own; every
+// other one goes before the search. Visits, lights and the program's end never wait for it.
 #pragma once
 
 #include <condition_variable>
@@ -19,15 +19,17 @@ class ForgetSearch {
   // `found`, on the search's thread: something was left after all, or the search could not be made; the log says what.
   // `logger` outlives the search.
   ForgetSearch(std::function<void()> found, Logger& logger);
-  // Ends what runs within a MiB of reading. What is not certified then, db::BeginForget takes up at the next start.
+  // Ends what runs within a MiB of reading, or in the midst of a rewriting. What is not certified then, db::BeginForget
+  // takes up at the next start.
   ~ForgetSearch();
   ForgetSearch(const ForgetSearch&) = delete;
   ForgetSearch& operator=(const ForgetSearch&) = delete;
 
   void Add(db::ForgetProof proof);
-  // Whether nobody is served: only then does it take the store's write lock, where the index must be rewritten.
+  // Whether nobody is served: only then does it take the store's write lock, where the index must be rewritten; false
+  // ends a rewriting, which begins anew later.
   void SetRest(bool rest);
-  // For who writes to the store: while it is held, the search takes no lock; it waits for a rewriting that runs.
+  // For who writes to the store: while it is held, the search takes no lock.
   [[nodiscard]] std::unique_lock<std::mutex> Turn() { return std::unique_lock(turn_); }
 
  private:
@@ -35,6 +37,7 @@ class ForgetSearch {
   void Prove(db::ForgetProof proof);
   Status RewriteIndex(db::ForgetProof& proof);
   [[nodiscard]] bool goes_on() const;
+  [[nodiscard]] bool at_rest() const;
 
   const std::function<void()> found_;
   Logger& logger_;

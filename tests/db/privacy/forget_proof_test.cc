@@ -98,6 +98,25 @@ TEST_F(ForgetHalves, ASearchThatIsEndedCertifiesNothingAndIsMadeAgain) {
   ExpectGone(traces, kVisitor);
 }
 
+// Whoever comes meanwhile does not wait for it.
+TEST_F(ForgetHalves, ARewritingThatIsEndedLeavesTheIndexAndIsMadeAgain) {
+  const std::string id = Visit(kVisitor, 1, Encryption::kPerSession), other = Visit(kOther, 2, Encryption::kPerSession);
+  const Traces traces = TracesOf(id);
+  ForgetRequest request;
+  request.sessions = {id};
+  Logger quiet(LogLevel::kError);
+  auto proof = BeginForget(folder_, request);
+  ASSERT_TRUE(proof.ok() && proof->Search(quiet).ok());
+  int asked = 0;
+  EXPECT_EQ(proof->RewriteIndex([&asked] { return ++asked < 3; }).code(), StatusCode::kTryAgain);
+  EXPECT_EQ(asked, 3);
+  EXPECT_TRUE(OpenStore().FindSession(other).ok()) << "nobody holds it, and it is whole";
+  const Status rewritten = proof->RewriteIndex([] { return true; });
+  ASSERT_TRUE(rewritten.ok()) << rewritten.message();
+  EXPECT_THAT(proof->Certify()->leftovers, IsEmpty());
+  ExpectGone(traces, kVisitor);
+}
+
 // While one search runs, others wait: one takes up all of them.
 TEST_F(ForgetHalves, AProofIncludesWhatWaited) {
   const std::string id = Visit(kVisitor, 1, Encryption::kPerSession), other = Visit(kOther, 2, Encryption::kPerSession);
