@@ -6,6 +6,7 @@
 
 #include "db/privacy/forget.h"
 #include "tests/db/store_fixture.h"
+#include "tests/support/text_file.h"
 
 namespace stratalux::db {
 namespace {
