@@ -18,7 +18,7 @@ namespace fs = std::filesystem;
 fs::path FreeName(const fs::path& store) {
   std::error_code error;
   for (int n = 1;; ++n) {
-    const fs::path name = store / ("index-before-reindex-" + std::to_string(n) + ".sqlite");
+    const fs::path name = store / (kKeptIndex + std::to_string(n) + ".sqlite");
     if (!fs::exists(name, error)) return name;
   }
 }

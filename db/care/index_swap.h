@@ -8,6 +8,9 @@
 
 namespace stratalux::db {
 
+// What names of indexes that were swapped out begin with, and of their logs.
+inline constexpr const char* kKeptIndex = "index-before-reindex-";
+
 // Folds the old index's log into it and lets go of it, so that its file stands alone. kBusy while any program has it
 // open. A damaged or missing one is no failure: its log is kept beside it by SwapIndex.
 Status ReleaseIndex(const std::filesystem::path& store);

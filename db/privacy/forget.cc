@@ -66,7 +66,11 @@ class Forgetting {
 Status Forgetting::WriteIntents() {
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store_, AccessMode::kReadWrite));
   SLX_RETURN_IF_ERROR(TidyIntents(store_));
-  SLX_ASSIGN_OR_RETURN(intents_, ReadIntents(store_));
+  std::vector<std::string> unread;
+  SLX_ASSIGN_OR_RETURN(intents_, ReadIntents(store_, unread));
+  // Whoever asks to be forgotten does not wait for what another account began, which stays to be told.
+  if (!unread.empty() && request_.sessions.empty() && request_.visitors.empty()) return Status::Failed(unread.front());
+  report_.leftovers = std::move(unread);
   std::vector<std::string> fresh;
   for (const std::string& id : request_.sessions)
     if (std::none_of(intents_.begin(), intents_.end(), [&id](const ForgetIntent& i) { return i.session == id; }))

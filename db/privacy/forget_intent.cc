@@ -251,7 +251,7 @@ Status TidyIntents(const fs::path& store) {
   return Status::Ok();
 }
 
-Result<std::vector<ForgetIntent>> ReadIntents(const fs::path& store) {
+Result<std::vector<ForgetIntent>> ReadIntents(const fs::path& store, std::vector<std::string>& unread) {
   std::vector<ForgetIntent> intents;
   SLX_ASSIGN_OR_RETURN(const std::vector<std::string> ids, IdsOfIntents(store));
   for (const std::string& id : ids) {
@@ -260,10 +260,12 @@ Result<std::vector<ForgetIntent>> ReadIntents(const fs::path& store) {
     std::error_code unknown;
     if (!read.ok() && fs::symlink_status(file, unknown).type() == fs::file_type::not_found)
       continue;  // another forget has finished it meanwhile
-    if (!read.ok())
-      return Status::Failed(read.status().message() + "; session " + id +
-                            " is not wholly forgotten before this account can read it: run `stratalux-db forget"
-                            " --resume` as who began it, or change the file's owner");
+    if (!read.ok()) {
+      unread.push_back(read.status().message() + "; session " + id +
+                       " is not wholly forgotten before this account can read it: run `stratalux-db forget"
+                       " --resume` as who began it, or change the file's owner");
+      continue;
+    }
     const std::string& text = *read;
     try {
       auto intent = IntentFrom(Json::parse(text));

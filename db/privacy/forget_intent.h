@@ -54,7 +54,8 @@ Status WriteIntent(const std::filesystem::path& store, const ForgetIntent& inten
 Status WipeIntent(const std::filesystem::path& store, const std::string& session_id);
 // Wipes what a program that was killed in the midst of a write or a wipe left of intents. Under the write lock.
 Status TidyIntents(const std::filesystem::path& store);
-// kFailed, with what to do, where one is there and cannot be read; kIntegrity for a damaged one.
-[[nodiscard]] Result<std::vector<ForgetIntent>> ReadIntents(const std::filesystem::path& store);
+// kIntegrity for a damaged one. `unread`: of each that is there and cannot be read why, and what to do.
+[[nodiscard]] Result<std::vector<ForgetIntent>> ReadIntents(const std::filesystem::path& store,
+                                                            std::vector<std::string>& unread);
 
 }  // namespace stratalux::db

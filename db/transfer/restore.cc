@@ -204,7 +204,15 @@ Status Restorer::SwapIn(const fs::path& fresh) {
     return kept.status();
   }
   // A newer ledger may forget whom it lists.
-  return kept->empty() ? Status::Ok() : WipeFile(*kept);
+  std::error_code error;
+  std::vector<fs::path> old;  // of one without an index the log alone, under the name that it would have
+  for (const auto& entry : fs::directory_iterator(store_, error)) {
+    const std::string name = entry.path().filename().string();
+    if (name.starts_with(kKeptIndex)) old.push_back(entry.path());
+  }
+  if (error) return Status::Failed("cannot list " + store_.string() + ": " + error.message());
+  for (const fs::path& file : old) SLX_RETURN_IF_ERROR(WipeFile(file));
+  return Status::Ok();
 }
 
 Status Restorer::PlaceIndex(Logger& logger) {

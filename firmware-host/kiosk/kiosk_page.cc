@@ -218,7 +218,7 @@ Response KioskPage::Impl::Ticket() {
   {
     const std::lock_guard lock(mutex);
     if (state.shown().screen == Phase::kThanks) code = state.ticket();
-    ticket_fetched |= !code.empty();
+    if (!code.empty() && !std::exchange(ticket_fetched, true)) metrics.Kept();
   }
   if (code.empty()) return Response::Text(404, "no ticket is shown now");
   const auto picture = TicketPicture(WithCode(options.ticket_text, code));
@@ -425,7 +425,6 @@ void KioskPage::Show(const action::Show& show) {
 
 void KioskPage::ShowTicket(const std::string& code) {
   const std::lock_guard lock(impl_->mutex);
-  impl_->metrics.Kept();
   impl_->ticket_fetched = false;
   if (impl_->state.SetTicket(code)) impl_->Publish();
 }

@@ -21,7 +21,10 @@ void StoreWatch::Say(const std::string& why, const std::string& key, std::string
 event::Space StoreWatch::Space() {
   const std::string& folder = station_.config.store.folder;
   std::error_code error;
-  const bool there = std::filesystem::is_directory(folder, error);
+  const bool indexed = std::filesystem::exists(std::filesystem::path(folder) / "index.sqlite", error);
+  // Where the folder itself is a mount point an empty one stays when its disk goes.
+  const bool there = std::filesystem::is_directory(folder, error) && (indexed || !index_seen_);
+  index_seen_ |= indexed;
   const bool to_be_made = !there && !store_seen_ && (!error || error == std::errc::no_such_file_or_directory);
   store_seen_ |= there;
   if (!there && !to_be_made) {

@@ -34,7 +34,7 @@ class StoreWatch {
   const StationOptions& station_;
   const VisitRules& rules_;
   Logger& logger_;
-  bool store_seen_ = false;
+  bool store_seen_ = false, index_seen_ = false;
   std::string space_told_, calibration_told_;
   event::Calibration calibration_{false, 0};
 };

@@ -92,13 +92,13 @@ Comparison CompareCorners(const Reference& reference, int pose, const DecodedMap
 // A pose's maps, of the axes that were captured; where nothing could be read they are empty ones, not an earlier run's.
 struct PoseMaps {
   std::string name;
-  DecodedMap map;
+  Image<float> column, row;
   bool columns = false, rows = false;
 };
 
 PoseMaps MapsOf(const SessionFrames& frames, const DecodeFlags& f, int pose, DecodedMap map) {
   PoseMaps maps{"projector" + std::to_string(f.projector) + (pose >= 0 ? "_pose" + std::to_string(pose) : ""),
-                std::move(map)};
+                std::move(map.column), std::move(map.row)};
   for (const db::FrameRow& row : frames.rows()) {
     const FrameRecord& r = row.record;
     if (r.pattern.kind != PatternKind::kGray || r.projector != f.projector || r.pose != pose) continue;
@@ -113,7 +113,7 @@ Status WriteMaps(const DecodeFlags& f, const std::string& session, const std::ve
   std::vector<std::string> files;
   for (const PoseMaps& pose : all)
     for (const auto& [axis, captured, values] :
-         {std::tuple{"_column", pose.columns, &pose.map.column}, std::tuple{"_row", pose.rows, &pose.map.row}}) {
+         {std::tuple{"_column", pose.columns, &pose.column}, std::tuple{"_row", pose.rows, &pose.row}}) {
       if (!captured) continue;
       axes.emplace_back(pose.name + axis, values);
       files.push_back(pose.name + axis + ".exr");
@@ -136,7 +136,7 @@ Status WriteMaps(const DecodeFlags& f, const std::string& session, const std::ve
 Status DecodePose(const SessionFrames& frames, const DecodeFlags& f, int pose, const Reference& reference,
                   nlohmann::ordered_json& results, std::vector<PoseMaps>& maps) {
   const CodeSize code = CodeSizeOf(frames);
-  SLX_ASSIGN_OR_RETURN(const auto report,
+  SLX_ASSIGN_OR_RETURN(auto report,
                        DecodeProjector(frames, f.projector, pose, code.columns, code.rows, NoiseOf(frames),
                                        f.bits_alone ? CodeReading::kBitsAlone : CodeReading::kWithSinusoids));
   nlohmann::ordered_json result = {{"projector", f.projector}, {"pose", pose}};
@@ -152,7 +152,7 @@ Status DecodePose(const SessionFrames& frames, const DecodeFlags& f, int pose, c
     result["reference"] = {{"corners", c.corners}, {"found", c.found}, {"median_px", nullptr}};
     if (c.median_px) result["reference"]["median_px"] = *c.median_px;
   }
-  if (!f.out.empty()) maps.push_back(MapsOf(frames, f, pose, report.map));
+  if (!f.out.empty()) maps.push_back(MapsOf(frames, f, pose, std::move(report.map)));
   results.push_back(result);
   return Status::Ok();
 }

@@ -29,12 +29,12 @@ double Linearised(double s, const Eigen::VectorXd& a) {
 
 }  // namespace
 
-int QuantisationStep(ImageView<const uint16_t> raw) {
-  unsigned bits = 0;
+void QuantisationStep::Add(ImageView<const uint16_t> raw) {
   for (int y = 0; y < raw.height(); ++y)
-    for (int x = 0; x < raw.width(); ++x) bits |= raw(x, y);
-  return bits == 0 ? 1 : static_cast<int>(bits & (~bits + 1));
+    for (int x = 0; x < raw.width(); ++x) bits_ |= raw(x, y);
 }
+
+int QuantisationStep::dn() const { return bits_ == 0 ? 1 : static_cast<int>(bits_ & (~bits_ + 1)); }
 
 double NoiseInTheDark(double read_noise_dn, int step_dn) {
   return std::sqrt(read_noise_dn * read_noise_dn + (double(step_dn) * step_dn - 1.0) / 12.0);
@@ -44,10 +44,10 @@ Status DarkStatistics::Add(const Image<uint16_t>& raw, double exposure_ms) {
   if (!exposures_.empty() &&
       (raw.width() != exposures_[0].first.width() || raw.height() != exposures_[0].first.height()))
     return Status::Integrity("dark frames differ in size");
+  step_.Add(raw);
   auto found = std::find_if(exposures_.begin(), exposures_.end(),
                             [&](const Exposure& e) { return std::abs(e.ms - exposure_ms) <= 1e-3 * exposure_ms; });
   if (found == exposures_.end()) {
-    if (exposures_.empty()) step_ = QuantisationStep(raw);
     exposures_.push_back(
         {exposure_ms, 1, raw, Image<int32_t>(raw.width(), raw.height()), Image<int64_t>(raw.width(), raw.height())});
     return Status::Ok();
@@ -128,8 +128,8 @@ Result<DarkReport> DarkStatistics::Finish() const {
   variance /= sites;
   const double bias = report.black_level_dn - usual;
   report.offset_spread_dn = std::sqrt(std::max(0.0, squares / sites - bias * bias - variance * offset_noise));
-  report.read_noise_dn = std::sqrt(std::max(0.0, variance - step_ * step_ / 12.0));
-  report.step_dn = step_;
+  report.step_dn = step_.dn();
+  report.read_noise_dn = std::sqrt(std::max(0.0, variance - report.step_dn * report.step_dn / 12.0));
   report.dark_current_dn_per_s = 1000.0 * Median(rates);
   return report;
 }
@@ -137,7 +137,7 @@ Result<DarkReport> DarkStatistics::Finish() const {
 void ExposureRamp::Add(const RampFrames& frames) {
   const int width = frames.white_a.width(), height = frames.white_a.height();
   const int columns = width / kTile, rows = height / kTile;
-  if (exposures_.empty()) step_ = QuantisationStep(frames.black);
+  for (const auto* raw : {&frames.white_a, &frames.white_b, &frames.black}) step_.Add(*raw);
   Exposure exposure{frames.exposure_ms, std::vector<Cell>(static_cast<size_t>(columns) * rows * kTileColours)};
   ParallelFor(rows, 4, [&](int64_t begin, int64_t end) {
     for (int64_t j = begin; j < end; ++j)
@@ -188,8 +188,9 @@ std::vector<double> ExposureRamp::Offsets() const {
 
 Result<PhotonTransfer> ExposureRamp::Transfer(const std::vector<double>& response) const {
   struct Tile {
-    double signal, variance, sites;  // signal: of which the shot noise is that of a straight camera, L / h'^2
+    double signal, straight, variance, sites;  // straight: L / h'^2, to which the shot noise of `signal` belongs
   };
+  const double quantisation = step_.dn() * step_.dn() / 12.0;
   CameraCalibration camera;
   camera.black_level_dn = 0.0;
   camera.saturation_dn = range_dn_;
@@ -206,7 +207,7 @@ Result<PhotonTransfer> ExposureRamp::Transfer(const std::vector<double>& respons
       const Cell& cell = e.cells[k];
       const double signal = cell.level - offsets[k];
       if (cell.sites > 0 && signal < kTransferRange * range_dn_)
-        tiles.push_back({of_straight(signal), cell.variance - step_ * step_ / 12.0, static_cast<double>(cell.sites)});
+        tiles.push_back({signal, of_straight(signal), cell.variance - quantisation, static_cast<double>(cell.sites)});
     }
   if (tiles.size() < 50) return Status::Failed("photon transfer: only " + std::to_string(tiles.size()) + " tiles");
   // A variance from n differences has a relative variance of 2 / (n - 1); the weights follow the line itself.
@@ -216,8 +217,8 @@ Result<PhotonTransfer> ExposureRamp::Transfer(const std::vector<double>& respons
     normal.setZero();
     Eigen::Vector2d right = Eigen::Vector2d::Zero();
     for (const Tile& t : tiles) {
-      const Eigen::Vector2d row(1.0, t.signal);
-      const double expected = std::max(round == 0 ? t.variance : line.dot(row), 0.05) + step_ * step_ / 12.0;
+      const Eigen::Vector2d row(1.0, t.straight);
+      const double expected = std::max(round == 0 ? t.variance : line.dot(row), 0.05) + quantisation;
       const double weight = 0.5 * (t.sites - 1.0) / (expected * expected);
       normal += weight * row * row.transpose();
       right += weight * t.variance * row;
@@ -230,14 +231,14 @@ Result<PhotonTransfer> ExposureRamp::Transfer(const std::vector<double>& respons
   transfer.gain_e_per_dn = 1.0 / line[1];
   transfer.gain_sd = std::sqrt(normal.inverse()(1, 1)) / (line[1] * line[1]);
   transfer.read_noise_dn = std::sqrt(std::max(0.0, line[0]));
-  transfer.step_dn = step_;
+  transfer.step_dn = step_.dn();
   constexpr int kPoints = 24;
   transfer.points.resize(kPoints);
   for (const Tile& t : tiles) {
     const int k = std::clamp(static_cast<int>(kPoints * t.signal / (kTransferRange * range_dn_)), 0, kPoints - 1);
     TransferPoint& p = transfer.points[k];
     p.signal_dn += t.signal * t.sites;
-    p.variance_dn2 += (t.variance + step_ * step_ / 12.0) * t.sites;
+    p.variance_dn2 += (t.variance + quantisation) * t.sites;
     p.sites += static_cast<int64_t>(t.sites);
   }
   std::erase_if(transfer.points, [](const TransferPoint& p) { return p.sites == 0; });

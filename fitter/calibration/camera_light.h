@@ -14,7 +14,14 @@
 namespace stratalux::fit {
 
 // Step between the raw levels that occur: 1 for 12 bits, 4 for 10 bits in a 12-bit container.
-[[nodiscard]] int QuantisationStep(ImageView<const uint16_t> raw);
+class QuantisationStep {
+ public:
+  void Add(ImageView<const uint16_t> raw);
+  [[nodiscard]] int dn() const;
+
+ private:
+  unsigned bits_ = 0;  // that are set in any level
+};
 // What a record states as read noise, dn: SensorNoise adds the quantisation of a step of 1, and this what a coarser
 // step `step_dn` has beyond that: sqrt(read^2 + (q^2 - 1) / 12).
 [[nodiscard]] double NoiseInTheDark(double read_noise_dn, int step_dn);
@@ -38,7 +45,7 @@ class DarkStatistics {
   [[nodiscard]] double MeanAt(const Exposure& e, size_t site) const;
   [[nodiscard]] double VarianceAt(const Exposure& e, size_t site) const;
   std::vector<Exposure> exposures_;
-  int step_ = 1;
+  QuantisationStep step_;
 };
 
 // One exposure of the ramp: whites that differ by noise alone, and the black that belongs to them.
@@ -79,7 +86,7 @@ class ExposureRamp {
 
   Cfa cfa_;
   double saturation_dn_, range_dn_;
-  int step_ = 1;
+  QuantisationStep step_;
   std::vector<Exposure> exposures_;
 };
 

@@ -10,7 +10,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kSeparateVersion = 6;
+inline constexpr int kSeparateVersion = 7;
 
 // By projector.
 [[nodiscard]] Result<std::vector<SeparationMap>> SeparateFace(const SessionFrames& frames);

@@ -11,7 +11,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kSkinVersion = 1;
+inline constexpr int kSkinVersion = 2;
 
 // `rig`: shape.record, linear. `separation`: of each projector; empty where none was captured: then all of the surface
 // counts as skin.

@@ -108,9 +108,13 @@ slurm_wait_up() {
 }
 
 # A job that was queued again would wait for two minutes. At once is too early: slurmd takes a credential of the second in
-# which it ended the job before as that job's, "already killed", and the task fails without having run. Takes a second.
+# which it ended the job before as that job's, "already killed", and the task fails without having run. Takes a second. And a task
+# that slurmd of a busy machine could not launch is held, for an administrator to release.
 slurm_hurry() {
   local job waiting
+  for job in $(squeue -h -r -t PENDING -o '%i %r' 2>/dev/null | sed -n 's/ launch failed requeued held$//p'); do
+    scontrol release "$job" 2>/dev/null || true
+  done
   waiting=$(squeue -h -r -t PENDING -o '%i %r' 2>/dev/null | sed -n 's/ BeginTime$//p') || true
   sleep 1.1
   for job in $waiting; do scontrol update "JobId=$job" StartTime=now 2>/dev/null || true; done

@@ -68,6 +68,13 @@ TEST_F(ForgetHalves, ABegunForgettingThatCannotBeReadIsNotTakenForDone) {
   EXPECT_EQ(refused.status().code(), StatusCode::kFailed);
   EXPECT_THAT(refused.status().message(), ::testing::HasSubstr(intent.string()));
   EXPECT_THAT(refused.status().message(), ::testing::HasSubstr("--resume"));
+  // Somebody else who asks is forgotten all the same.
+  const std::string other = Visit(kOther, 2, Encryption::kNone);
+  const auto asked = ForgetNow({other});
+  ASSERT_TRUE(asked.ok()) << asked.status().message();
+  ASSERT_EQ(asked->leftovers.size(), 1U);
+  EXPECT_THAT(asked->leftovers[0], ::testing::HasSubstr("--resume"));
+  EXPECT_EQ(CertificateOf(other)["verification"]["clean"], true);
   fs::remove(intent);
   fs::copy(aside, intent);
   EXPECT_THAT(ForgetNow({})->leftovers, IsEmpty());

@@ -128,6 +128,7 @@ TEST_F(KioskDays, HoldCountsAndNobody) {
        {"start", "not_sensitive", "agree", "face_good", "face_good", "tick", "tick", "tick", "captured_good"})
     ASSERT_TRUE(kiosk_->Happen(event)) << event;
   ASSERT_EQ(kiosk_->state().phase, Phase::kThanks);
+  ASSERT_EQ(http::Get(kiosk_->page().port(), "/ticket.svg").status, 200);  // as the visitor's screen does
   kiosk_->Happen("tick");
   ASSERT_TRUE(Until([&] { return Read(File()).find("\"kept\":1") != std::string::npos; }));
   const std::string text = Read(File());

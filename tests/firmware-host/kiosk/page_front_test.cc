@@ -127,6 +127,8 @@ TEST_F(PageFrontTest, AVisitWhoseTicketNoScreenFetchedIsNotKept) {
   Press("agree", "consent");
   Press("done", "thanks");
   (void)Until("idle");
+  const auto status = http::Get(port(), "/operator/status", {{"Authorization", "Bearer " + kOperatorToken}});
+  EXPECT_EQ(Json::parse(status.body)["today"]["visits"].value("kept", 0), 0) << "nor is it counted as kept";
   stop.Request(StopReason::kOperator);
   loop.join();
   const auto open = db::OpenVisits(folder_ / "store");

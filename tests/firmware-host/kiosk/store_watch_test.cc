@@ -3,6 +3,7 @@
 
 #include <cstdio>
 #include <filesystem>
+#include <fstream>
 #include <memory>
 
 #include <gmock/gmock.h>
@@ -54,6 +55,19 @@ TEST_F(StoreWatchTest, AStoreWhoseDiskWentHasNoRoomAndIsNamed) {
   EXPECT_THAT(Said(), IsEmpty()) << "once";
   std::filesystem::rename(folder_ / "elsewhere", store);
   EXPECT_GT(watch.Space().bytes, 0);
+}
+
+// The folder is where the disk was mounted: it is there still, and has the room of the disk beneath.
+TEST_F(StoreWatchTest, AMountPointWithoutItsDiskIsNoStore) {
+  const std::filesystem::path store = station_.config.store.folder;
+  std::filesystem::create_directory(store);
+  std::ofstream(store / "index.sqlite") << "rows";
+  StoreWatch watch(station_, rules_, logger_);
+  EXPECT_GT(watch.Space().bytes, 0);
+  std::filesystem::rename(store, folder_ / "elsewhere");
+  std::filesystem::create_directory(store);
+  EXPECT_EQ(watch.Space().bytes, 0);
+  EXPECT_THAT(Said(), AllOf(HasSubstr(store.string()), HasSubstr("is gone")));
 }
 
 TEST_F(StoreWatchTest, ADiskThatCannotBeAskedIsNotEndless) {

@@ -97,7 +97,11 @@ TEST(PhotonTransfer, QuantisationIsNotReadNoise) {
   ASSERT_TRUE(transfer.ok());
   EXPECT_NEAR(transfer->gain_e_per_dn, 4.3, 0.02 * 4.3);
   EXPECT_NEAR(transfer->read_noise_dn, 2.7, 0.3);
-  EXPECT_EQ(QuantisationStep(camera.Expose(100.0, 16.0, 3)), 4);
+  QuantisationStep step;
+  step.Add(Image<uint16_t>(8, 8, 1, 64));
+  EXPECT_EQ(step.dn(), 64) << "of levels that are all alike";
+  step.Add(camera.Expose(100.0, 16.0, 3));
+  EXPECT_EQ(step.dn(), 4);
 }
 
 TEST(PhotonTransfer, OfACompressingCameraIsThatOfItsCharges) {
