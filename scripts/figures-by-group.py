@@ -23,16 +23,14 @@ the figures of the others are printed; or, with --check, in some group layers do
 that is blind to direction, photometric detail makes the surface's normals worse by a tenth and more, or less than nine
 tenths of the truly lit skin are judged.
 """
-import argparse
 import csv
 import json
 import math
 import pathlib
 import subprocess
 import sys
-import tempfile
 
-from simulated_visits import called, captured
+from simulated_visits import called, captured, figures_parser, none_told, parsed
 
 GROUPS = [("very light", 55, 90), ("light", 41, 55), ("intermediate", 28, 41), ("tan", 10, 28), ("brown", -30, 10),
           ("dark", -90, -30)]
@@ -170,11 +168,7 @@ def faults(chosen):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    root = pathlib.Path(__file__).resolve().parent.parent
-    parser.add_argument("--bin", type=pathlib.Path, default=root / "build/release/bin", help="where the programs are")
-    parser.add_argument("--work", type=pathlib.Path, help="where stores and logs of the people stay; else nowhere")
-    parser.add_argument("--size", default="696x520", help="of the camera (696x520)")
+    parser = figures_parser(__doc__, "696x520")
     parser.add_argument("--per-group", type=int, default=2, help="people of each group (2)")
     parser.add_argument("--first", type=int, default=1000, help="first number of the population to look at (1000)")
     parser.add_argument("--scattering", type=float, help="of all, in place of their own")
@@ -185,9 +179,7 @@ def main():
     parser.add_argument("--run", action="append", default=[], metavar="OPTION",
                         help="an option of stratalux-fit run, as --run=--neighbours=off; may be repeated")
     parser.add_argument("--list", action="store_true", help="only say who would be captured")
-    parser.add_argument("--check", action="store_true", help="exit 1 where a group falls short")
-    parser.add_argument("--json", type=pathlib.Path, help="also write each person's figures there")
-    args = parser.parse_args()
+    args = parsed(parser)
     chosen = choose(args.bin, args.first, args.per_group)
     if args.list:
         for name, people in chosen.items():
@@ -195,9 +187,6 @@ def main():
                 print(f"{name}: person {p['person']}, ITA {p['ita_deg']:.0f} degrees, melanin {100 * p['melanin']:.1f} %, "
                       f"scattering {p['scattering']:.2f}")
         return 0 if all(len(people) == args.per_group for people in chosen.values()) else 1
-    scratch = tempfile.TemporaryDirectory(prefix="stratalux-people-") if args.work is None else None
-    args.work = pathlib.Path(scratch.name) if scratch else args.work
-    args.work.mkdir(parents=True, exist_ok=True)
     people = [p for name, _, _ in GROUPS for p in chosen[name]]
     ok = True
     for k, person in enumerate(people):
@@ -207,10 +196,7 @@ def main():
     print(normals_table(chosen))
     if args.json:
         args.json.write_text(json.dumps(chosen, indent=1) + "\n")
-    if args.check:
-        for fault in faults(chosen):
-            print(f"error: {fault}", file=sys.stderr)
-            ok = False
+    ok = (not args.check or none_told(faults(chosen))) and ok
     return 0 if ok else 1
 
 

@@ -18,14 +18,12 @@ another is an error), and fits that are there, are not made again. Exit 1: a pro
 frames predict stripes better by a tenth than all do (figures that mix up), or at 128 frames or more layers predict them
 no better than the fit that is blind to direction or less than nine tenths of the truly lit skin are judged.
 """
-import argparse
 import json
 import pathlib
 import subprocess
 import sys
-import tempfile
 
-from simulated_visits import called, captured
+from simulated_visits import called, captured, figures_parser, none_told, parsed
 
 MODELS = [("tied", "layers"), ("homogeneous_local_albedo", "mean layers"), ("direction_blind", "blind")]
 LIGHTS = ("stripe", "white", "spot")
@@ -119,21 +117,12 @@ def numbers(text):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    root = pathlib.Path(__file__).resolve().parent.parent
-    parser.add_argument("--bin", type=pathlib.Path, default=root / "build/release/bin", help="where the programs are")
-    parser.add_argument("--work", type=pathlib.Path, help="where stores and logs of the people stay; else nowhere")
-    parser.add_argument("--size", default="696x520", help="of the camera (696x520)")
+    parser = figures_parser(__doc__, "696x520")
     parser.add_argument("--people", type=numbers, default=[1], help="seeds of their captures (1)")
     parser.add_argument("--frames", type=numbers, default=[500, 256, 128, 64, 24], help="at most (500,256,128,64,24)")
     parser.add_argument("--geometry", type=lambda t: t.split(","), default=["reconstructed", "truth"],
                         help="surfaces (reconstructed,truth)")
-    parser.add_argument("--check", action="store_true", help="exit 1 where a row falls short")
-    parser.add_argument("--json", type=pathlib.Path, help="also write each person's figures there")
-    args = parser.parse_args()
-    scratch = tempfile.TemporaryDirectory(prefix="stratalux-frames-") if args.work is None else None
-    args.work = pathlib.Path(scratch.name) if scratch else args.work
-    args.work.mkdir(parents=True, exist_ok=True)
+    args = parsed(parser)
     plan = json.loads(read(args, "stratalux-rig", "plan", "show", "--simulate", "--json"))
     people = []
     try:
@@ -146,12 +135,7 @@ def main():
         return 1
     rows = averaged(people)
     print(table(rows, plan))
-    ok = True
-    if args.check:
-        for fault in faults(rows):
-            print(f"error: {fault}", file=sys.stderr)
-            ok = False
-    return 0 if ok else 1
+    return 0 if not args.check or none_told(faults(rows)) else 1
 
 
 if __name__ == "__main__":

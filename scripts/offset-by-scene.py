@@ -13,13 +13,11 @@ Captures (by the same options; another is an error) and fits that are in --work 
 are printed; or, with --check, by all lights a scene of skin keeps more than half of its depth bias, or the opaque one
 is moved by more than 0.02 mm.
 """
-import argparse
 import json
 import pathlib
 import sys
-import tempfile
 
-from simulated_visits import called, captured
+from simulated_visits import called, captured, figures_parser, none_told, parsed
 
 SCENES = ["visitor", "dark_skin", "person", "regions", "oily_skin", "interreflection", "wax_slab", "opaque"]
 
@@ -82,21 +80,13 @@ def words(text):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = figures_parser(__doc__, "348x260")
     root = pathlib.Path(__file__).resolve().parent.parent
-    parser.add_argument("--bin", type=pathlib.Path, default=root / "build/release/bin", help="where the programs are")
-    parser.add_argument("--work", type=pathlib.Path, help="where stores and logs stay; else nowhere")
-    parser.add_argument("--size", default="348x260", help="of the camera (348x260)")
     parser.add_argument("--seed", default="5", help="of the captures (5)")
     parser.add_argument("--scenes", type=words, default=SCENES, help=f"which ({','.join(SCENES)})")
     parser.add_argument("--scene-folder", type=pathlib.Path, default=root / "docs/examples/scenes", help="of their files")
     parser.add_argument("--heldouts", type=words, default=["0", "1", "2"], help="also of the visitor (0,1,2)")
-    parser.add_argument("--check", action="store_true", help="exit 1 where a scene falls short")
-    parser.add_argument("--json", type=pathlib.Path, help="also write the rows there")
-    args = parser.parse_args()
-    scratch = tempfile.TemporaryDirectory(prefix="stratalux-offset-") if args.work is None else None
-    args.work = pathlib.Path(scratch.name) if scratch else args.work
-    args.work.mkdir(parents=True, exist_ok=True)
+    args = parsed(parser)
     rows, ok = [], True
     for scene, heldout in [(scene, 3) for scene in args.scenes] + [("visitor", int(h)) for h in args.heldouts]:
         print(f"{scene}, without projector {heldout}", file=sys.stderr)
@@ -108,10 +98,7 @@ def main():
     print(table(rows))
     if args.json:
         args.json.write_text(json.dumps(rows, indent=1) + "\n")
-    if args.check:
-        for fault in faults(rows):
-            print(f"error: {fault}", file=sys.stderr)
-            ok = False
+    ok = (not args.check or none_told(faults(rows))) and ok
     return 0 if ok else 1
 
 

@@ -1,8 +1,41 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the scripts that state figures share: programs called with a log, and captures that are made once."""
+"""What the scripts that state figures share: their options, programs called with a log, captures that are made once."""
+import argparse
 import json
 import pathlib
 import subprocess
+import sys
+import tempfile
+
+
+def figures_parser(doc, size):
+    """With the options that all of them have."""
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    root = pathlib.Path(__file__).resolve().parent.parent
+    parser.add_argument("--bin", type=pathlib.Path, default=root / "build/release/bin", help="where the programs are")
+    parser.add_argument("--work", type=pathlib.Path, help="where stores and logs stay; else nowhere")
+    parser.add_argument("--size", default=size, help=f"of the camera ({size})")
+    parser.add_argument("--check", action="store_true", help="exit 1 where something falls short")
+    parser.add_argument("--json", type=pathlib.Path, help="also write the figures there")
+    return parser
+
+
+def parsed(parser):
+    """Its arguments; a folder that goes with them where --work is not given."""
+    args = parser.parse_args()
+    if args.work is None:
+        args.scratch = tempfile.TemporaryDirectory(prefix="stratalux-figures-")
+        args.work = pathlib.Path(args.scratch.name)
+    args.work.mkdir(parents=True, exist_ok=True)
+    return args
+
+
+def none_told(faults):
+    """Whether there are none; each is told."""
+    faults = list(faults)
+    for fault in faults:
+        print(f"error: {fault}", file=sys.stderr)
+    return not faults
 
 
 def called(bin_folder, log, program, *arguments):
