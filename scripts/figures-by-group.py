@@ -30,7 +30,7 @@ import pathlib
 import subprocess
 import sys
 
-from simulated_visits import called, captured, figures_parser, none_told, parsed
+from simulated_visits import called, captured, concluded, figures_parser, mean, parsed
 
 GROUPS = [("very light", 55, 90), ("light", 41, 55), ("intermediate", 28, 41), ("tan", 10, 28), ("brown", -30, 10),
           ("dark", -90, -30)]
@@ -90,11 +90,6 @@ def judge(args, person):
         for light, values in lights.items():
             lights[light] = sum(values) / len(values)
     return True
-
-
-def mean(values):
-    values = list(values)
-    return sum(values) / len(values)
 
 
 def table(chosen):
@@ -194,10 +189,7 @@ def main():
         ok = judge(args, person) and ok
     print(table(chosen))
     print(normals_table(chosen))
-    if args.json:
-        args.json.write_text(json.dumps(chosen, indent=1) + "\n")
-    ok = (not args.check or none_told(faults(chosen))) and ok
-    return 0 if ok else 1
+    return concluded(args, chosen, faults(chosen), ok)
 
 
 if __name__ == "__main__":

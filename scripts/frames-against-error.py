@@ -23,7 +23,7 @@ import pathlib
 import subprocess
 import sys
 
-from simulated_visits import called, captured, figures_parser, none_told, parsed
+from simulated_visits import called, captured, concluded, figures_parser, mean, parsed
 
 MODELS = [("tied", "layers"), ("homogeneous_local_albedo", "mean layers"), ("direction_blind", "blind")]
 LIGHTS = ("stripe", "white", "spot")
@@ -67,11 +67,6 @@ def person(args, seed, plan):
             print(f"person {seed}: {frames} frames, {geometry} surface", file=sys.stderr)
             rows.append(fit(args, store, log, frames, plan["frames"], geometry))
     return {"person": seed, "rows": rows}
-
-
-def mean(values):
-    values = list(values)
-    return sum(values) / len(values)
 
 
 def averaged(people):
@@ -135,7 +130,7 @@ def main():
         return 1
     rows = averaged(people)
     print(table(rows, plan))
-    return 0 if not args.check or none_told(faults(rows)) else 1
+    return concluded(args, people, faults(rows))
 
 
 if __name__ == "__main__":

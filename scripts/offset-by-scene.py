@@ -17,7 +17,7 @@ import json
 import pathlib
 import sys
 
-from simulated_visits import called, captured, figures_parser, none_told, parsed
+from simulated_visits import called, captured, concluded, figures_parser, parsed
 
 SCENES = ["visitor", "dark_skin", "person", "regions", "oily_skin", "interreflection", "wax_slab", "opaque"]
 
@@ -96,10 +96,7 @@ def main():
             print(f"error: {scene}: {error}", file=sys.stderr)
             ok = False
     print(table(rows))
-    if args.json:
-        args.json.write_text(json.dumps(rows, indent=1) + "\n")
-    ok = (not args.check or none_told(faults(rows))) and ok
-    return 0 if ok else 1
+    return concluded(args, rows, faults(rows), ok)
 
 
 if __name__ == "__main__":

@@ -30,12 +30,19 @@ def parsed(parser):
     return args
 
 
-def none_told(faults):
-    """Whether there are none; each is told."""
-    faults = list(faults)
-    for fault in faults:
+def mean(values):
+    values = list(values)
+    return sum(values) / len(values)
+
+
+def concluded(args, figures, faults, ok=True):
+    """Exit code, with the figures written where --json says and, with --check, each of the faults told."""
+    if args.json:
+        args.json.write_text(json.dumps(figures, indent=1) + "\n")
+    for fault in faults if args.check else ():
         print(f"error: {fault}", file=sys.stderr)
-    return not faults
+        ok = False
+    return 0 if ok else 1
 
 
 def called(bin_folder, log, program, *arguments):
