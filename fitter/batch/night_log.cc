@@ -54,6 +54,11 @@ const char* ToString(NightEventKind kind) {
   return "?";
 }
 
+bool IsEnd(NightEventKind kind) {
+  return kind == NightEventKind::kDone || kind == NightEventKind::kFailed || kind == NightEventKind::kSetAside ||
+         kind == NightEventKind::kDropped;
+}
+
 std::string NightMoment(WallNs time) {
   const std::time_t seconds = time.ns / 1'000'000'000;
   std::tm utc{};
@@ -118,6 +123,8 @@ Result<NightLog> NightLog::Open(const fs::path& store, const std::string& name) 
 }
 
 Status NightLog::Add(const NightEvent& event) {
+  if (event.session.find('/') != std::string::npos || event.session.starts_with('.'))
+    return Status::Usage("'" + event.session + "' is no session: what a night says stays in its folder");
   SLX_ASSIGN_OR_RETURN(const bool forgotten,
                        event.session.empty() ? Result<bool>(false) : db::IsForgotten(store_, event.session));
   NightEvent said = event;

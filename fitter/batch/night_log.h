@@ -29,6 +29,8 @@ enum class NightEventKind {
   kEnded
 };
 [[nodiscard]] const char* ToString(NightEventKind kind);
+// A visitor's last word: kDone, kFailed, kSetAside, kDropped.
+[[nodiscard]] bool IsEnd(NightEventKind kind);
 
 struct NightEvent {
   NightEventKind kind = NightEventKind::kBegan;

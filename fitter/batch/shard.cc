@@ -14,11 +14,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-bool IsEnd(NightEventKind kind) {
-  return kind == NightEventKind::kDone || kind == NightEventKind::kFailed || kind == NightEventKind::kSetAside ||
-         kind == NightEventKind::kDropped;
-}
-
 Status CheckMachine(const ShardPlan& plan) {
   if (plan.isa == KernelIsa()) return Status::Ok();
   return Status::Usage("the plan's fits are of the instruction set " + plan.isa + ", this machine's would be of " +

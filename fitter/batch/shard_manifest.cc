@@ -48,6 +48,8 @@ Result<ShardVisit> ShardVisitFrom(const Json& json) {
   ShardVisit visit;
   SLX_ASSIGN_OR_RETURN(visit.end, ParseNightEvent(json.at("end").dump()));
   SLX_RETURN_IF_ERROR(CheckId(visit.end.session));
+  if (!IsEnd(visit.end.kind))
+    return Status::Integrity(std::string("'") + ToString(visit.end.kind) + "' is no end of a visitor");
   for (const Json& one : json.at("made")) {
     visit.made.push_back({one.at("folder"), one.at("xxh3_128")});
     if (!IsPlace(visit.made.back().place))

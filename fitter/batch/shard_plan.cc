@@ -53,6 +53,15 @@ Result<PlannedVisit> PlannedVisitFrom(const Json& json) {
   return visit;
 }
 
+// The merge writes it to a file of that name, into the night's log: an "ended" there would end the night.
+Result<NightEvent> LeftOutFrom(const Json& json) {
+  SLX_ASSIGN_OR_RETURN(NightEvent event, ParseNightEvent(json.dump()));
+  SLX_RETURN_IF_ERROR(CheckId(event.session));
+  if (event.kind != NightEventKind::kLeftOut)
+    return Status::Integrity(std::string("'") + ToString(event.kind) + "' leaves nobody out");
+  return event;
+}
+
 }  // namespace
 
 ShardPlan PlanOf(const NightChoice& choice, const CostHistory& history, const std::vector<std::string>& arguments) {
@@ -112,8 +121,9 @@ Result<ShardPlan> ReadPlan(const fs::path& results) {
       plan.visits.push_back(std::move(*visit));
     }
     for (const Json& event : json.at("left_out")) {
-      SLX_ASSIGN_OR_RETURN(auto parsed, ParseNightEvent(event.dump()));
-      plan.left_out.push_back(std::move(parsed));
+      auto parsed = LeftOutFrom(event);
+      SLX_RETURN_IF_ERROR(parsed.status().WithContext(file.string()));
+      plan.left_out.push_back(std::move(*parsed));
     }
     return plan;
   } catch (const Json::exception& error) {

@@ -16,6 +16,9 @@ void Read(const fuzz::InputFolder& folder, const std::string& text) {
   if (const auto plan = fit::ReadPlan(folder.path()); fuzz::Judge(plan)) {
     for (const auto& visit : plan->visits)
       if (!fit::CheckId(visit.session).ok()) fuzz::Fault("a planned visitor whose name leaves the folder");
+    for (const auto& event : plan->left_out)
+      if (!fit::CheckId(event.session).ok() || event.kind != fit::NightEventKind::kLeftOut)
+        fuzz::Fault("who is left out leaves the folder, or is not left out");
     (void)fit::VisitsOf(*plan, {1, 3});
     const fuzz::InputFolder copy;
     if (!fit::WritePlan(copy.path(), *plan).ok()) fuzz::Fault("a plan that was read is not written");
@@ -26,9 +29,12 @@ void Read(const fuzz::InputFolder& folder, const std::string& text) {
   plan.id = "p";
   const auto manifest = fit::ReadManifest(folder.Put("shard.json", bytes), plan);
   if (!fuzz::Judge(manifest)) return;
-  for (const fit::ShardVisit& visit : manifest->visits)
+  for (const fit::ShardVisit& visit : manifest->visits) {
+    if (!fit::CheckId(visit.end.session).ok() || !fit::IsEnd(visit.end.kind))
+      fuzz::Fault("a visitor's end that leaves the folder, or is none");
     for (const fit::MadeFolder& made : visit.made)
       if (made.place.find("../") != std::string::npos) fuzz::Fault("a folder outside the results");
+  }
   const fuzz::InputFolder copy;
   if (!fit::WriteManifest(copy.path(), *manifest).ok()) fuzz::Fault("results that were read are not written");
   if (!fit::ReadManifest(fit::ManifestFile(copy.path(), manifest->shard), plan).ok())

@@ -32,6 +32,15 @@ TEST_F(NightLogTest, ReadsWhatItWrote) {
   EXPECT_EQ(file.st_mode & 07, 0U) << "it names visitors' sessions";
 }
 
+TEST_F(NightLogTest, WritesIntoItsFolderAlone) {
+  auto log = NightLog::Begin(folder_);
+  ASSERT_TRUE(log.ok());
+  for (const std::string& session : {std::string("../s1"), (folder_ / "s1").string(), std::string(".s1")})
+    EXPECT_EQ(log->Add({.kind = NightEventKind::kLeftOut, .session = session}).code(), StatusCode::kUsage) << session;
+  EXPECT_TRUE(std::filesystem::is_empty(log->folder()));
+  EXPECT_FALSE(std::filesystem::exists(folder_ / "s1.jsonl"));
+}
+
 TEST_F(NightLogTest, NightsOfOneSecondStandInTheirOrder) {
   constexpr int64_t kMoment = 1'800'000'000'123'456'789;
   EXPECT_EQ(NightMoment({kMoment}), "20270115T080000.123Z");

@@ -77,6 +77,23 @@ TEST_F(ShardPlanTest, IdsThatAreNoNamesOfFoldersAreRefused) {
     fs::remove(folder_ / "plan.json");
     EXPECT_TRUE(WritePlan(folder_, plan).ok());
     EXPECT_EQ(ReadPlan(folder_).status().code(), StatusCode::kIntegrity) << "'" << id << "'";
+    // The merge writes a file of that name, too.
+    plan = Plan(1);
+    plan.left_out[0].session = id;
+    fs::remove(folder_ / "plan.json");
+    EXPECT_TRUE(WritePlan(folder_, plan).ok());
+    EXPECT_EQ(ReadPlan(folder_).status().code(), StatusCode::kIntegrity) << "left out: '" << id << "'";
+  }
+}
+
+// Told by the merge as it stands there: an end of the night, of a visitor who was left out.
+TEST_F(ShardPlanTest, OnlyWhoIsLeftOutStandsAmongThose) {
+  ShardPlan plan = Plan(1);
+  for (const NightEventKind kind : {NightEventKind::kEnded, NightEventKind::kDone, NightEventKind::kBegan}) {
+    plan.left_out[0].kind = kind;
+    fs::remove(folder_ / "plan.json");
+    EXPECT_TRUE(WritePlan(folder_, plan).ok());
+    EXPECT_EQ(ReadPlan(folder_).status().code(), StatusCode::kIntegrity) << ToString(kind);
   }
 }
 
@@ -154,6 +171,17 @@ TEST_F(ShardManifestTest, AnyPartOfOneIsNone) {
   for (size_t bytes = 0; bytes < text.size(); bytes += 7) {
     WriteText(file, text.substr(0, bytes));
     EXPECT_EQ(ReadManifest(file, plan).status().code(), StatusCode::kIntegrity) << bytes << " bytes of it";
+  }
+}
+
+// The merge tells it to the night as it stands there.
+TEST_F(ShardManifestTest, OnlyAnEndOfAVisitorIsOne) {
+  const ShardPlan plan = Written(Plan(2));
+  for (const NightEventKind kind : {NightEventKind::kEnded, NightEventKind::kBegan, NightEventKind::kRetry}) {
+    ShardManifest manifest = Manifest(plan);
+    manifest.visits[0].end.kind = kind;
+    ASSERT_TRUE(WriteManifest(folder_, manifest).ok());
+    EXPECT_EQ(ReadManifest(ManifestFiles(folder_)[0], plan).status().code(), StatusCode::kIntegrity) << ToString(kind);
   }
 }
 
