@@ -5,6 +5,7 @@
 #include <csignal>
 #include <memory>
 #include <optional>
+#include <set>
 #include <thread>
 #include <utility>
 
@@ -87,6 +88,8 @@ class Night {
  private:
   Status Tell(NightEvent event);
   Status Enqueue(const NightChoice& choice);
+  // Until nobody is left, the time is up or it is told to stop.
+  Status Work();
   // False: nothing can be started now.
   Result<bool> StartOne();
   [[nodiscard]] bool Fits() const;
@@ -100,6 +103,7 @@ class Night {
   Status Reap();
   Status NotBegun(const db::Job& job, NightEvent event, const Status& why);
   Status Fail(const db::Job& job, NightEvent event, const std::string& reason, bool again);
+  Status TellWhoWasSetAside();
   Status Drop(const db::Job& job, NightEvent event, const std::string& reason);
   Status Finish(Attempt& attempt, const WorkerEnd& end);
   void Wait() const;
@@ -116,6 +120,7 @@ class Night {
   Logger& logger_;
   NightOutcome outcome_;
   std::vector<std::unique_ptr<Attempt>> running_;
+  std::set<int64_t> chosen_;   // jobs of tonight of whom it was not said that they failed
   int64_t largest_sites_ = 0;  // of whom the queue may give us next
   Clock::time_point began_ = Clock::now();
 };
@@ -152,6 +157,7 @@ Status Night::Enqueue(const NightChoice& choice) {
     }
     largest_sites_ = std::max(largest_sites_, visit.sites);
     chosen.push_back(visit);
+    chosen_.insert(*id);
   }
   NightEvent began{.kind = NightEventKind::kBegan, .count = static_cast<int64_t>(chosen.size())};
   SLX_RETURN_IF_ERROR(Tell(began));
@@ -188,7 +194,11 @@ Result<bool> Night::StartOne() {
   SLX_ASSIGN_OR_RETURN(const auto job,
                        jobs_.Lease({Formatted("night %d", static_cast<int>(getpid())), {kKind}, options_.lease}));
   if (!job) return false;
-  SLX_RETURN_IF_ERROR(Launch(*job));
+  if (Status launched = Launch(*job); !launched.ok()) {
+    // Refused where that attempt has failed already.
+    if (const Status released = jobs_.Release(job->token); !released.ok()) logger_.Debug(released.message());
+    return launched;
+  }
   return true;
 }
 
@@ -214,7 +224,7 @@ Status Night::Launch(const db::Job& job) {
     attempt->sites = what.at("sites").get<int64_t>();
     for (const auto& argument : what.at("arguments")) command.push_back(argument.get<std::string>());
   } catch (const nlohmann::json::exception& error) {
-    return jobs_.Fail(job.token, std::string("its options are no night's: ") + error.what(), std::nullopt);
+    return Fail(job, event, std::string("its options are no night's: ") + error.what(), false);
   }
   const auto row = MayGoOn(session);
   if (!row.ok()) return NotBegun(job, event, row.status());
@@ -228,7 +238,7 @@ Status Night::Launch(const db::Job& job) {
   attempt->next_heartbeat = Clock::now() + options_.lease / 4;
   SLX_RETURN_IF_ERROR(Tell(event));
   Result<Worker> worker = Worker::Start(start);
-  if (!worker.ok()) return jobs_.Fail(job.token, worker.status().message(), options_.back_off);
+  if (!worker.ok()) return Fail(job, event, worker.status().message(), true);
   attempt->worker = std::move(*worker);
   running_.push_back(std::move(attempt));
   return Status::Ok();
@@ -250,8 +260,27 @@ Status Night::Fail(const db::Job& job, NightEvent event, const std::string& reas
   if (!failed.ok() && failed.code() != StatusCode::kFailed) return failed;
   event.kind = !again ? NightEventKind::kFailed : last ? NightEventKind::kSetAside : NightEventKind::kRetry;
   event.reason = reason;
-  if (event.kind != NightEventKind::kRetry) ++outcome_.failed;
+  if (event.kind == NightEventKind::kRetry) return Tell(event);
+  ++outcome_.failed;
+  chosen_.erase(job.id);
   return Tell(event);
+}
+
+// The lease of a night that was killed in somebody's last attempt ran out tonight: nobody else says so.
+Status Night::TellWhoWasSetAside() {
+  for (const int64_t id : chosen_) {
+    const auto job = jobs_.Find(id);
+    if (job.status().code() == StatusCode::kNotFound) continue;  // forgotten
+    SLX_RETURN_IF_ERROR(job.status());
+    if (job->state != db::JobState::kSetAside && job->state != db::JobState::kFailed) continue;
+    ++outcome_.failed;
+    const bool set_aside = job->state == db::JobState::kSetAside;
+    SLX_RETURN_IF_ERROR(Tell({.kind = set_aside ? NightEventKind::kSetAside : NightEventKind::kFailed,
+                              .session = job->request.session,
+                              .attempt = job->attempts,
+                              .reason = job->last_error}));
+  }
+  return Status::Ok();
 }
 
 // A worker that was begun in the moment of a forgetting may have written since.
@@ -365,24 +394,25 @@ void Night::Wait() const {
   poll(fds.data(), fds.size(), static_cast<int>(kLook.count()));
 }
 
-// What their stages have finished stays.
+// What their stages have finished stays. Each is given back, whatever cannot be told of it.
 Status Night::GiveBack() {
+  Status told;
   for (const auto& attempt : running_) attempt->worker.Signal(SIGTERM);
   const auto end = Clock::now() + kGrace;
   for (const auto& attempt : running_) {
     while (!attempt->worker.Ended() && Clock::now() < end) std::this_thread::sleep_for(milliseconds(20));
     if (const Status released = jobs_.Release(attempt->job.token); !released.ok()) logger_.Debug(released.message());
-    SLX_RETURN_IF_ERROR(Tell({.kind = NightEventKind::kReleased,
-                              .session = attempt->job.request.session,
-                              .attempt = attempt->job.attempts,
-                              .reason = "the night was stopped"}));
+    Status now = Tell({.kind = NightEventKind::kReleased,
+                       .session = attempt->job.request.session,
+                       .attempt = attempt->job.attempts,
+                       .reason = "the night was stopped"});
+    if (told.ok()) told = std::move(now);
   }
   running_.clear();
-  return Status::Ok();
+  return told;
 }
 
-Result<NightOutcome> Night::Run(const NightChoice& choice) {
-  SLX_RETURN_IF_ERROR(Enqueue(choice));
+Status Night::Work() {
   while (true) {
     pollfd stop{stop_, POLLIN, 0};
     outcome_.stopped = stop_ >= 0 && poll(&stop, 1, 0) > 0;
@@ -401,7 +431,17 @@ Result<NightOutcome> Night::Run(const NightChoice& choice) {
     SLX_RETURN_IF_ERROR(Reap());
     SLX_RETURN_IF_ERROR(Watch());
   }
-  SLX_RETURN_IF_ERROR(GiveBack());
+  return Status::Ok();
+}
+
+Result<NightOutcome> Night::Run(const NightChoice& choice) {
+  SLX_RETURN_IF_ERROR(Enqueue(choice));
+  const Status worked = Work();
+  // What ends the night, such as a full disk, costs nobody an attempt.
+  const Status given_back = GiveBack();
+  SLX_RETURN_IF_ERROR(worked);
+  SLX_RETURN_IF_ERROR(given_back);
+  SLX_RETURN_IF_ERROR(TellWhoWasSetAside());
   NightEvent ended{
       .kind = NightEventKind::kEnded, .seconds = InSeconds(Clock::now() - began_), .count = outcome_.fitted};
   ended.reason = outcome_.stopped ? "stopped" : outcome_.out_of_time ? "no time for another visitor" : "";

@@ -125,10 +125,10 @@ Result<NightLog> NightLog::Open(const fs::path& store, const std::string& name) 
 Status NightLog::Add(const NightEvent& event) {
   if (event.session.find('/') != std::string::npos || event.session.starts_with('.'))
     return Status::Usage("'" + event.session + "' is no session: what a night says stays in its folder");
-  SLX_ASSIGN_OR_RETURN(const bool forgotten,
-                       event.session.empty() ? Result<bool>(false) : db::IsForgotten(store_, event.session));
   NightEvent said = event;
-  if (forgotten) {
+  // A ledger that cannot be read for the moment ends no night: the line goes where a forgetting finds it.
+  const auto forgotten = db::IsForgotten(store_, event.session);
+  if (forgotten.ok() && *forgotten) {
     said.session = said.fit = "";
     said.reason = "was forgotten";
   }

@@ -57,7 +57,8 @@ class NightLog {
   [[nodiscard]] static Result<NightLog> Begin(const std::filesystem::path& store);
   // The night of that name, made where it is not there yet.
   [[nodiscard]] static Result<NightLog> Open(const std::filesystem::path& store, const std::string& name);
-  // On the disk when it returns. Of a session that was forgotten meanwhile, only that somebody was.
+  // On the disk when it returns. Of a session that was forgotten meanwhile, only that somebody was; where that cannot be
+  // asked, it is written to the session's file, which a forgetting wipes. kUsage for what is no session.
   Status Add(const NightEvent& event);
   // All that was said of a session: it was forgotten.
   Status Remove(const std::string& session);

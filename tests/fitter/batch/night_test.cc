@@ -14,7 +14,9 @@
 #include <unistd.h>
 
 #include "db/catalogue/consent.h"
+#include "db/catalogue/deletions.h"
 #include "db/catalogue/job_store.h"
+#include "db/ledger/ledger_line.h"
 #include "db/privacy/forget.h"
 #include "fitter/batch/night_status.h"
 #include "tests/db/store_fixture.h"
@@ -103,14 +105,17 @@ class NightTest : public db::StoreTest {
       EXPECT_EQ(status, 0);
     }
   }
-  [[nodiscard]] db::JobState StateOf(const std::string& session) const {
+  [[nodiscard]] db::Job JobOf(const std::string& session) const {
     auto jobs = db::JobStore::Open(folder_);
     const auto all = jobs->List();
     for (const db::Job& job : *all)
-      if (job.request.session == session) return job.state;
+      if (job.request.session == session) return job;
     ADD_FAILURE() << "no job of " << session;
-    return db::JobState::kCancelled;
+    db::Job none;
+    none.state = db::JobState::kCancelled;
+    return none;
   }
+  [[nodiscard]] db::JobState StateOf(const std::string& session) const { return JobOf(session).state; }
   [[nodiscard]] const NightVisit& VisitOf(const std::string& session) const {
     for (const NightVisit& visit : night_.visits)
       if (visit.session == session) return visit;
@@ -307,6 +312,86 @@ TEST_F(NightTest, WhatCannotBeAskedDropsNobody) {
   EXPECT_EQ(outcome.dropped, 0);
   EXPECT_EQ(outcome.fitted, 2);
   for (const std::string& session : sessions_) EXPECT_EQ(StateOf(session), db::JobState::kDone) << session;
+}
+
+// Neither does a line of the night's log end the night for it: one is written between "begun" and "done".
+TEST_F(NightTest, ALedgerThatCannotBeReadForAWhileEndsNoNight) {
+  Visitors(2);
+  options_.lease = milliseconds(400);
+  options_.workers = 2;
+  options_.foreseen = {{{1.0, 1000}, 1000}};
+  Workers("[ $S = " + sessions_[0] + " ] || sleep 1.5");
+  const std::filesystem::path later = folder_ / "ledger" / "0123456789abcdef0123456789abcdef.jsonl";
+  const std::string said = R"({"schema":99,"kind":"sealing")";
+  bool unreadable_at_the_end = false;
+  const NightOutcome outcome = Run(-1, [&](const NightEvent& event) {
+    if (event.kind == NightEventKind::kStarted && event.session == sessions_[1]) {
+      std::filesystem::create_directories(later.parent_path());
+      WriteText(later, said + ",\"hash\":\"" + db::LedgerHash(said + "}") + "\"}\n");
+    }
+    if (event.kind != NightEventKind::kDone || event.session != sessions_[0]) return;
+    unreadable_at_the_end = !db::IsForgotten(folder_, event.session).ok();
+    std::thread([later] {
+      std::this_thread::sleep_for(milliseconds(700));
+      std::filesystem::remove(later);
+    }).detach();
+  });
+  EXPECT_TRUE(unreadable_at_the_end) << "the test shows nothing";
+  EXPECT_EQ(outcome.fitted, 2);
+  EXPECT_EQ(outcome.dropped, 0);
+  for (const std::string& session : sessions_) EXPECT_EQ(StateOf(session), db::JobState::kDone) << session;
+  EXPECT_TRUE(night_.ended);
+}
+
+// A full disk, a folder that is gone: the night ends, and whoever runs is given back.
+TEST_F(NightTest, WhatCannotBeWrittenEndsTheNightAndCostsNobodyAnAttempt) {
+  Visitors(4);
+  options_.workers = 3;
+  options_.foreseen = {{{1.0, 1000}, 1000}};
+  // The first one's worker puts a file where the night's folder is.
+  Workers("[ $S = " + sessions_[0] +
+          " ] || exec sleep 1000\n"
+          "while [ $(ls $W/*.begun | wc -l) -lt 3 ]; do sleep 0.05; done\n"
+          "NIGHT=$(echo $4/nights/*); mv $NIGHT $W/night && touch $NIGHT");
+  Logger quiet(LogLevel::kError);
+  const auto outcome = RunNight(options_, choice_, -1, {}, quiet);
+  EXPECT_EQ(outcome.status().code(), StatusCode::kFailed) << outcome.status().message();
+  EXPECT_EQ(StateOf(sessions_[0]), db::JobState::kDone);
+  for (const size_t i : {1, 2, 3}) {
+    const db::Job job = JobOf(sessions_[i]);
+    EXPECT_EQ(job.state, db::JobState::kQueued) << i;
+    EXPECT_EQ(job.attempts, 0) << i;
+    EXPECT_EQ(Lines(sessions_[i], ".ended"), 0) << i;
+  }
+}
+
+TEST_F(NightTest, WhoseWorkerCannotBeBegunHasFailedAndIsTold) {
+  Visitors(1);
+  options_.program = "/nonexistent";
+  const NightOutcome outcome = Run();
+  EXPECT_EQ(outcome.failed, 1);
+  EXPECT_EQ(StateOf(sessions_[0]), db::JobState::kSetAside);
+  EXPECT_EQ(VisitOf(sessions_[0]).kind, NightEventKind::kSetAside);
+  EXPECT_THAT(VisitOf(sessions_[0]).reason, HasSubstr("cannot run /nonexistent"));
+}
+
+// A night that was killed, whose lease runs out while this one waits for it.
+TEST_F(NightTest, WhoFellSilentInTheLastAttemptHasFailedAndIsTold) {
+  Visitors(2);
+  options_.attempts = 1;
+  auto other = db::JobStore::Open(folder_);
+  ASSERT_TRUE(other.ok());
+  db::JobRequest request{JobKey(choice_.visits[0]), "fit", sessions_[0],
+                         R"({"arguments": [], "fit": "fit0", "sites": 1000})"};
+  request.max_attempts = 1;
+  ASSERT_TRUE(other->Enqueue(request).ok());
+  ASSERT_TRUE((*other->Lease({"a night that was killed", {"fit"}, milliseconds(400)})).has_value());
+  Workers("");
+  const NightOutcome outcome = Run();
+  EXPECT_EQ(outcome.fitted, 1);
+  EXPECT_EQ(outcome.failed, 1);
+  EXPECT_EQ(VisitOf(sessions_[0]).kind, NightEventKind::kSetAside);
+  EXPECT_THAT(VisitOf(sessions_[0]).reason, HasSubstr("fell silent in attempt 1"));
 }
 
 TEST_F(NightTest, WhatCannotBeAskedInAnyAttemptFails) {
