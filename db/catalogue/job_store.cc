@@ -52,6 +52,17 @@ Result<std::vector<Job>> ReadJobs(Statement& select) {
   }
 }
 
+// Rows of state and number.
+Result<std::map<JobState, int64_t>> ReadCounts(Statement& select) {
+  std::map<JobState, int64_t> counts;
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return counts;
+    SLX_ASSIGN_OR_RETURN(const JobState state, ParseJobState(select.Text(0)));
+    counts[state] = select.Integer(1);
+  }
+}
+
 Status Check(const JobRequest& request) {
   if (request.key.empty() || request.kind.empty())
     return Status::Usage("a job needs a key and a kind (key '" + request.key + "', kind '" + request.kind + "')");
@@ -212,10 +223,12 @@ Result<std::optional<int64_t>> JobStore::Impl::Next(Connection& connection, cons
                        connection.Prepare("SELECT id FROM jobs WHERE state = 'queued' AND not_before_wall_ns <= ?1"
                                           " AND (boot <> ?2 OR until_boot_ns <= ?3)"
                                           " AND (?4 = '[]' OR kind IN (SELECT value FROM json_each(?4)))"
+                                          " AND (?5 = '[]' OR id IN (SELECT value FROM json_each(?5)))"
                                           " ORDER BY priority DESC, id LIMIT 1"));
   select.Bind(1, clock.wall().ns).Bind(2, clock.boot_id).Bind(3, BootNow());
   const nlohmann::json kinds = request.kinds;
   select.Bind(4, kinds.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace));
+  select.Bind(5, nlohmann::json(request.jobs).dump());
   SLX_ASSIGN_OR_RETURN(const bool any, select.Step());
   return any ? std::optional(select.Integer(0)) : std::nullopt;
 }
@@ -325,13 +338,15 @@ Result<std::map<JobState, int64_t>> JobStore::Count(const std::string& kind) {
                        impl_->index.connection().Prepare("SELECT state, sum(jobs) FROM job_counts WHERE jobs > 0"
                                                          " AND (?1 = '' OR kind = ?1) GROUP BY state"));
   select.Bind(1, kind);
-  std::map<JobState, int64_t> counts;
-  while (true) {
-    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
-    if (!more) return counts;
-    SLX_ASSIGN_OR_RETURN(const JobState state, ParseJobState(select.Text(0)));
-    counts[state] = select.Integer(1);
-  }
+  return ReadCounts(select);
+}
+
+Result<std::map<JobState, int64_t>> JobStore::CountOf(const std::vector<int64_t>& ids) {
+  SLX_ASSIGN_OR_RETURN(auto select,
+                       impl_->index.connection().Prepare("SELECT state, count(*) FROM jobs WHERE id IN"
+                                                         " (SELECT value FROM json_each(?1)) GROUP BY state"));
+  select.Bind(1, nlohmann::json(ids).dump());
+  return ReadCounts(select);
 }
 
 Status CheckLease(Connection& connection, int64_t token) {

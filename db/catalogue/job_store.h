@@ -75,6 +75,7 @@ struct LeaseRequest {
   std::string owner;               // for people: host, process
   std::vector<std::string> kinds;  // empty: any
   std::chrono::milliseconds duration{60'000};
+  std::vector<int64_t> jobs = {};  // their ids; empty: any
 };
 
 class JobStore {
@@ -106,6 +107,8 @@ class JobStore {
   // Oldest first.
   [[nodiscard]] Result<std::vector<Job>> List(std::optional<JobState> state = {});
   [[nodiscard]] Result<std::map<JobState, int64_t>> Count(const std::string& kind = {});  // empty: of any
+  // Of these; who is gone with its session is left out.
+  [[nodiscard]] Result<std::map<JobState, int64_t>> CountOf(const std::vector<int64_t>& ids);
 
  private:
   struct Impl;

@@ -56,6 +56,12 @@ std::string LastError(const fs::path& log) {
   return text->substr(at + kMark.size(), text->find('\n', at) - at - kMark.size());
 }
 
+std::string FitOf(const db::Job& job) {
+  const auto what = nlohmann::json::parse(job.request.options_json, nullptr, false);
+  const auto fit = what.is_object() ? what.find("fit") : what.end();
+  return fit != what.end() && fit->is_string() ? fit->get<std::string>() : "";
+}
+
 struct Attempt {
   db::Job job;
   int64_t sites = 0;
@@ -88,6 +94,8 @@ class Night {
  private:
   Status Tell(NightEvent event);
   Status Enqueue(const NightChoice& choice);
+  Status CloseWhoIsFitted();
+  [[nodiscard]] Result<std::optional<db::Job>> Lease(std::vector<int64_t> ids);
   // Until nobody is left, the time is up or it is told to stop.
   Status Work();
   // False: nothing can be started now.
@@ -120,8 +128,9 @@ class Night {
   Logger& logger_;
   NightOutcome outcome_;
   std::vector<std::unique_ptr<Attempt>> running_;
-  std::set<int64_t> chosen_;   // jobs of tonight of whom it was not said that they failed
-  int64_t largest_sites_ = 0;  // of whom the queue may give us next
+  std::vector<int64_t> chosen_;    // jobs of tonight
+  std::set<int64_t> told_failed_;  // of these
+  int64_t largest_sites_ = 0;      // of whom the queue may give us next
   Clock::time_point began_ = Clock::now();
 };
 
@@ -157,12 +166,35 @@ Status Night::Enqueue(const NightChoice& choice) {
     }
     largest_sites_ = std::max(largest_sites_, visit.sites);
     chosen.push_back(visit);
-    chosen_.insert(*id);
+    chosen_.push_back(*id);
   }
   NightEvent began{.kind = NightEventKind::kBegan, .count = static_cast<int64_t>(chosen.size())};
   SLX_RETURN_IF_ERROR(Tell(began));
   for (const LeftOutVisit& visit : left_out) SLX_RETURN_IF_ERROR(Tell(EventOf(visit)));
+  return CloseWhoIsFitted();
+}
+
+// A night that was killed behind the entry of a fit left its job waiting, and nobody chooses who is fitted.
+Status Night::CloseWhoIsFitted() {
+  const std::set<int64_t> chosen(chosen_.begin(), chosen_.end());
+  SLX_ASSIGN_OR_RETURN(const auto waiting, jobs_.List(db::JobState::kQueued));
+  for (const db::Job& job : waiting) {
+    if (job.request.kind != kKind || chosen.contains(job.id)) continue;
+    const std::string fit = FitOf(job);
+    const auto fits = store_.ListFits(job.request.session);
+    if (fits.status().code() == StatusCode::kNotFound) continue;  // forgotten
+    SLX_RETURN_IF_ERROR(fits.status());
+    if (std::none_of(fits->begin(), fits->end(), [&](const db::FitRow& row) { return row.id == fit; })) continue;
+    SLX_ASSIGN_OR_RETURN(const auto held, Lease({job.id}));
+    if (held) SLX_RETURN_IF_ERROR(jobs_.Complete(held->token));
+  }
   return Status::Ok();
+}
+
+// Only of tonight's: others wait for a night that chooses them, by the options that they wait with.
+Result<std::optional<db::Job>> Night::Lease(std::vector<int64_t> ids) {
+  if (ids.empty()) return std::optional<db::Job>();
+  return jobs_.Lease({Formatted("night %d", static_cast<int>(getpid())), {kKind}, options_.lease, std::move(ids)});
 }
 
 // Beside those who run; alone anybody may try.
@@ -191,8 +223,7 @@ Result<bool> Night::StartOne() {
     outcome_.out_of_time = true;
     return false;
   }
-  SLX_ASSIGN_OR_RETURN(const auto job,
-                       jobs_.Lease({Formatted("night %d", static_cast<int>(getpid())), {kKind}, options_.lease}));
+  SLX_ASSIGN_OR_RETURN(const auto job, Lease(chosen_));
   if (!job) return false;
   if (Status launched = Launch(*job); !launched.ok()) {
     // Refused where that attempt has failed already.
@@ -262,13 +293,14 @@ Status Night::Fail(const db::Job& job, NightEvent event, const std::string& reas
   event.reason = reason;
   if (event.kind == NightEventKind::kRetry) return Tell(event);
   ++outcome_.failed;
-  chosen_.erase(job.id);
+  told_failed_.insert(job.id);
   return Tell(event);
 }
 
 // The lease of a night that was killed in somebody's last attempt ran out tonight: nobody else says so.
 Status Night::TellWhoWasSetAside() {
   for (const int64_t id : chosen_) {
+    if (told_failed_.contains(id)) continue;
     const auto job = jobs_.Find(id);
     if (job.status().code() == StatusCode::kNotFound) continue;  // forgotten
     SLX_RETURN_IF_ERROR(job.status());
@@ -277,6 +309,7 @@ Status Night::TellWhoWasSetAside() {
     const bool set_aside = job->state == db::JobState::kSetAside;
     SLX_RETURN_IF_ERROR(Tell({.kind = set_aside ? NightEventKind::kSetAside : NightEventKind::kFailed,
                               .session = job->request.session,
+                              .fit = FitOf(*job),
                               .attempt = job->attempts,
                               .reason = job->last_error}));
   }
@@ -343,8 +376,7 @@ Status Night::Finish(Attempt& attempt, const WorkerEnd& end) {
                    .seconds = InSeconds(attempt.worker.Age()),
                    .cpu_seconds = end.cpu_seconds,
                    .peak_bytes = end.peak_bytes};
-  const auto what = nlohmann::json::parse(attempt.job.request.options_json, nullptr, false);
-  event.fit = what.value("fit", "");
+  event.fit = FitOf(attempt.job);
   if (end.exit_code == 0) {
     const Status completed = jobs_.Complete(attempt.job.token);
     if (!completed.ok() && completed.code() != StatusCode::kFailed) return completed;
@@ -423,7 +455,7 @@ Status Night::Work() {
     }
     // Whoever waits for another attempt is waited for, and whom another night has: it may have been killed, and its
     // lease must run out.
-    SLX_ASSIGN_OR_RETURN(auto counts, jobs_.Count(kKind));
+    SLX_ASSIGN_OR_RETURN(auto counts, jobs_.CountOf(chosen_));
     outcome_.waiting =
         counts[db::JobState::kQueued] + counts[db::JobState::kRunning] - static_cast<int64_t>(running_.size());
     if (running_.empty() && (outcome_.waiting == 0 || outcome_.out_of_time)) break;

@@ -48,7 +48,7 @@ struct NightOptions {
 struct NightOutcome {
   std::filesystem::path folder;
   int fitted = 0, failed = 0, dropped = 0;  // failed: for good, or set aside
-  int64_t waiting = 0;                      // jobs of the queue that are left
+  int64_t waiting = 0;                      // of the choice, who are left
   bool stopped = false, out_of_time = false;
 };
 

@@ -79,6 +79,18 @@ TEST_F(JobStoreTest, HighestPriorityFirstThenTheOldestThatIsDue) {
   EXPECT_THAT(*jobs.Count(), ElementsAre(Pair(JobState::kRunning, 5)));
 }
 
+TEST_F(JobStoreTest, OfNamedJobsNoOtherIsLeasedOrCounted) {
+  JobStore jobs = Open();
+  const int64_t first = *jobs.Enqueue({"first", "fit"}), second = *jobs.Enqueue({"second", "fit"});
+  ASSERT_TRUE(jobs.Enqueue({"urgent", "fit", "", "{}", 5}).ok());
+  const LeaseRequest named{"a", {"fit"}, minutes(1), {second, first, 99}};
+  EXPECT_EQ(KeyOf(*jobs.Lease(named)), "first");
+  EXPECT_THAT(*jobs.CountOf(named.jobs), ElementsAre(Pair(JobState::kQueued, 1), Pair(JobState::kRunning, 1)));
+  EXPECT_EQ(KeyOf(*jobs.Lease(named)), "second");
+  EXPECT_EQ(KeyOf(*jobs.Lease(named)), "none");
+  EXPECT_EQ(KeyOf(Lease(jobs)), "urgent");
+}
+
 TEST_F(JobStoreTest, WhoFallsSilentIsReplacedAndRefused) {
   JobStore jobs = Open(), other = Open();
   ASSERT_TRUE(jobs.Enqueue({"k", "fit"}).ok());

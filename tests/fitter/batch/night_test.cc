@@ -440,6 +440,57 @@ TEST_F(NightTest, WorkersFitByTheOptionsOfThisNight) {
   }
 }
 
+// What an earlier night left waiting is not tonight's, unless it is chosen again.
+TEST_F(NightTest, OnlyWhoIsChosenTonightIsFitted) {
+  Visitors(3);
+  Workers("");
+  options_.deadline = std::chrono::steady_clock::now() - 1s;
+  EXPECT_EQ(Run().waiting, 3);
+  options_.deadline = std::nullopt;
+  const NightChoice all = choice_;
+  choice_.visits = {all.visits[2]};
+  const NightOutcome outcome = Run();
+  EXPECT_EQ(outcome.fitted, 1);
+  EXPECT_EQ(outcome.waiting, 0);
+  EXPECT_EQ(Lines(sessions_[2], ".begun"), 1);
+  for (const size_t i : {0, 1}) EXPECT_EQ(Lines(sessions_[i], ".begun"), 0) << i;
+  choice_.visits = {};
+  EXPECT_EQ(Run().fitted, 0) << "nobody is not anybody";
+  choice_.visits = {all.visits[0], all.visits[1]};
+  EXPECT_EQ(Run().fitted, 2);
+}
+
+// Queued by a night of other options: a fit of another name.
+TEST_F(NightTest, AVisitorIsFittedByTonightsOptionsAlone) {
+  Visitors(1);
+  Workers("");
+  auto jobs = db::JobStore::Open(folder_);
+  ASSERT_TRUE(jobs.ok());
+  ASSERT_TRUE(jobs->Enqueue({JobKey({sessions_[0], "other", 1000}), "fit", sessions_[0],
+                             R"({"arguments": ["--layers=3"], "fit": "other", "sites": 1000})"})
+                  .ok());
+  EXPECT_EQ(Run().fitted, 1);
+  EXPECT_EQ(Lines(sessions_[0], ".begun"), 1);
+  EXPECT_EQ(VisitOf(sessions_[0]).fit, "fit0");
+}
+
+// Its night was killed between the entry of the fit and the end of the job.
+TEST_F(NightTest, AJobWhoseFitIsThereIsDone) {
+  Visitors(1);
+  auto jobs = db::JobStore::Open(folder_);
+  ASSERT_TRUE(jobs.ok());
+  ASSERT_TRUE(jobs->Enqueue({JobKey(choice_.visits[0]), "fit", sessions_[0],
+                             R"({"arguments": [], "fit": "fit0", "sites": 1000})"})
+                  .ok());
+  auto store = OpenStore();
+  std::filesystem::create_directories(store.FitFolder(sessions_[0], "fit0"));
+  ASSERT_TRUE(store.RegisterFit({"fit0", sessions_[0], "{}", "{}", WallNow()}).ok());
+  choice_.left_out = {{sessions_[0], LeftOut::kComplete, "fitted"}};
+  choice_.visits = {};
+  EXPECT_EQ(Run().fitted, 0);
+  EXPECT_EQ(StateOf(sessions_[0]), db::JobState::kDone);
+}
+
 // Held up for longer than a lease, as by a machine that was asleep.
 TEST_F(NightTest, AVisitorThatAnotherNightHasTakenOverIsLeftToIt) {
   Visitors(1);
