@@ -7,6 +7,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "db/catalogue/deletions.h"
 #include "db/catalogue/session_store.h"
 #include "fitter/batch/bytes_below.h"
 #include "fitter/batch/newest_fits.h"
@@ -124,10 +125,20 @@ std::vector<Outlier> OutliersOf(const std::string& session, const Figures& figur
   return outliers;
 }
 
+std::set<std::string> ForgottenOf(const fs::path& store) {
+  std::set<std::string> forgotten;
+  if (const auto deletions = db::ListDeletions(store); deletions.ok())
+    for (const db::Deletion& deletion : *deletions) forgotten.insert(deletion.session);
+  return forgotten;
+}
+
 Result<MorningFacts> GatherMorning(const fs::path& store_folder, const std::string& night) {
   MorningFacts facts;
   facts.folder = store_folder / "nights" / night;
-  SLX_ASSIGN_OR_RETURN(const NightRecord record, ReadNight(facts.folder));
+  SLX_ASSIGN_OR_RETURN(NightRecord record, ReadNight(facts.folder));
+  // A forgetting enters the ledger before it comes to the nights' files.
+  const auto forgotten = ForgottenOf(store_folder);
+  std::erase_if(record.events, [&](const NightEvent& event) { return forgotten.contains(event.session); });
   facts.night = StatusOf(record.events);
   facts.unread = record.unread;
   SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(store_folder, db::AccessMode::kReadOnly));
@@ -142,7 +153,10 @@ Result<MorningFacts> GatherMorning(const fs::path& store_folder, const std::stri
     if (session.info.kind != SessionKind::kVisitor) continue;
     const auto done = tonight.find(session.info.id);
     if (done == tonight.end() && earlier.size() >= kEarlier) continue;
-    SLX_ASSIGN_OR_RETURN(const auto fits, store.ListFits(session.info.id));
+    const auto listed = store.ListFits(session.info.id);
+    if (listed.status().code() == StatusCode::kNotFound) continue;  // forgotten since
+    SLX_RETURN_IF_ERROR(listed.status());
+    const std::vector<db::FitRow>& fits = *listed;
     if (done == tonight.end()) {
       const db::FitRow* fit = NewestOf(fits);
       if (fit == nullptr || fit->created_wall >= facts.night.began) continue;
@@ -156,8 +170,10 @@ Result<MorningFacts> GatherMorning(const fs::path& store_folder, const std::stri
       visit.figures = FiguresOf(fit.metrics_json);
       seconds_tonight.push_back(StageSecondsOf(fit.metrics_json));
     }
-    SLX_ASSIGN_OR_RETURN(const db::SessionRow row, store.FindSession(session.info.id));
-    for (const Finding& finding : row.info.found.findings) visit.findings.emplace_back(ToString(finding.kind));
+    const auto row = store.FindSession(session.info.id);
+    if (row.status().code() == StatusCode::kNotFound) continue;
+    SLX_RETURN_IF_ERROR(row.status());
+    for (const Finding& finding : row->info.found.findings) visit.findings.emplace_back(ToString(finding.kind));
     SeenFiles seen;
     visit.bytes = BytesBelow(store.SessionFolder(session.info.id), seen);
     bytes += visit.bytes;

@@ -7,6 +7,7 @@
 #include <filesystem>
 #include <map>
 #include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -58,7 +59,12 @@ struct MorningFacts {
   std::optional<double> nights_left;
 };
 
-// `night`: a name of Nights(store). Earlier fits: the newest 200 of other visitors that were made before it.
+// Whom nothing may name any more. Nobody where that cannot be read: what nights said of them went with their
+// forgetting.
+[[nodiscard]] std::set<std::string> ForgottenOf(const std::filesystem::path& store);
+
+// Of nobody who is forgotten. `night`: a name of Nights(store). Earlier fits: the newest 200 of other visitors that
+// were made before it.
 [[nodiscard]] Result<MorningFacts> GatherMorning(const std::filesystem::path& store, const std::string& night);
 
 }  // namespace stratalux::fit

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <set>
 #include <utility>
 
 #include "db/base/durable_file.h"
@@ -186,6 +187,12 @@ std::string TableText(const ReportTable& table) {
   return text;
 }
 
+bool NamesAnyOf(const std::set<std::string>& sessions, const NightStatus& night) {
+  const auto named = [&](const auto& one) { return sessions.contains(one.session); };
+  return std::any_of(night.visits.begin(), night.visits.end(), named) ||
+         std::any_of(night.left_out.begin(), night.left_out.end(), named);
+}
+
 }  // namespace
 
 MorningReport ReportOf(const MorningFacts& facts, const fs::path& store) {
@@ -220,13 +227,19 @@ MorningReport ReportOf(const MorningFacts& facts, const fs::path& store) {
   return report;
 }
 
-Result<fs::path> WriteMorningReport(const fs::path& store, const std::string& night) {
-  SLX_ASSIGN_OR_RETURN(const MorningFacts facts, GatherMorning(store, night));
-  const MorningReport report = ReportOf(facts, store);
-  SLX_ASSIGN_OR_RETURN(const std::string html, RenderHtml(report.page));
-  SLX_RETURN_IF_ERROR(db::ReplaceFile(facts.folder / "report.txt", report.text));
-  SLX_RETURN_IF_ERROR(db::ReplaceFile(facts.folder / "report.html", html));
-  return facts.folder / "report.html";
+Result<fs::path> WriteMorningReport(const fs::path& store, const std::string& night,
+                                    const std::function<void()>& gathered) {
+  // Asked once it is there: a forgetting that enters the ledger before this sees the report made anew, one that enters
+  // it later comes to the nights' files behind it.
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const MorningFacts facts, GatherMorning(store, night));
+    const MorningReport report = ReportOf(facts, store);
+    SLX_ASSIGN_OR_RETURN(const std::string html, RenderHtml(report.page));
+    if (gathered) gathered();
+    SLX_RETURN_IF_ERROR(db::ReplaceFile(facts.folder / "report.txt", report.text));
+    SLX_RETURN_IF_ERROR(db::ReplaceFile(facts.folder / "report.html", html));
+    if (!NamesAnyOf(ForgottenOf(store), facts.night)) return facts.folder / "report.html";
+  }
 }
 
 }  // namespace stratalux::fit

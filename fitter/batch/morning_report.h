@@ -3,6 +3,7 @@
 #pragma once
 
 #include <filesystem>
+#include <functional>
 #include <string>
 
 #include "fitter/batch/morning_facts.h"
@@ -19,8 +20,10 @@ struct MorningReport {
 // Pictures of faces only of visits that are not encrypted (`store` has them); of all others no pixel leaves its seal.
 [[nodiscard]] MorningReport ReportOf(const MorningFacts& facts, const std::filesystem::path& store);
 
-// report.html and report.txt in the night's folder; the page's path.
+// report.html and report.txt in the night's folder; the page's path. Made again for whoever is forgotten meanwhile.
+// `gathered`: called before the files are replaced (tests forget somebody there).
 [[nodiscard]] Result<std::filesystem::path> WriteMorningReport(const std::filesystem::path& store,
-                                                               const std::string& night);
+                                                               const std::string& night,
+                                                               const std::function<void()>& gathered = {});
 
 }  // namespace stratalux::fit

@@ -4,6 +4,8 @@
 
 #include <gmock/gmock.h>
 
+#include "db/ledger/ledger.h"
+#include "db/privacy/forget.h"
 #include "tests/db/store_fixture.h"
 #include "tests/support/text_file.h"
 
@@ -147,6 +149,54 @@ TEST_F(MorningReportTest, SaysWhoWasFittedWhoNotWhoIsStrangeAndHowLongTheDiskLas
   EXPECT_THAT(html, Not(HasSubstr("s9-no-key-"))) << "a link to a log that is not there";
   EXPECT_THAT(html, Not(HasSubstr("no <light>")));
   EXPECT_THAT(text, HasSubstr(strange + "  error of stripes, %  9.000"));
+}
+
+// Gathered before, written after: neither the id nor the figures come back.
+TEST_F(MorningReportTest, WhoIsForgottenWhileItIsMadeIsNotInIt) {
+  auto log = NightLog::Begin(folder_);
+  ASSERT_TRUE(log.ok());
+  const std::string stays = Fitted(0.04, WallNow()), fitted = Fitted(0.05, WallNow()), left_out = StoreSession(1);
+  const auto add = [&](NightEvent event) {
+    event.at = WallNow();
+    ASSERT_TRUE(log->Add(event).ok());
+  };
+  add({.kind = NightEventKind::kBegan, .count = 2});
+  add({.kind = NightEventKind::kLeftOut, .session = left_out, .why = "key", .reason = "no key"});
+  for (const std::string& session : {stays, fitted})
+    add({.kind = NightEventKind::kDone, .session = session, .fit = "f1", .attempt = 1, .seconds = 12});
+  std::vector<std::string> waiting = {fitted, left_out};
+  const auto page = WriteMorningReport(folder_, log->folder().filename().string(), [&] {
+    if (waiting.empty()) return;
+    Logger quiet(LogLevel::kError);
+    db::ForgetRequest request;
+    request.sessions = {waiting.back()};
+    waiting.pop_back();
+    const auto forgotten = db::Forget(folder_, request, quiet);
+    EXPECT_TRUE(forgotten.ok()) << forgotten.status().message();
+  });
+  ASSERT_TRUE(page.ok()) << page.status().message();
+  EXPECT_THAT(waiting, IsEmpty());
+  EXPECT_THAT(ReadText(*page), HasSubstr(stays));
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(folder_ / "nights"))
+    for (const std::string& gone : {fitted, left_out}) {
+      EXPECT_THAT(entry.path().filename().string(), Not(HasSubstr(gone)));
+      const std::string text = entry.is_regular_file() ? ReadText(entry.path()) : "";
+      EXPECT_THAT(text, Not(HasSubstr(gone))) << entry.path();
+    }
+}
+
+// The ledger has the forgetting before the nights' files go.
+TEST_F(MorningReportTest, WhoseForgettingHasBegunIsNotInIt) {
+  auto log = NightLog::Begin(folder_);
+  ASSERT_TRUE(log.ok());
+  const std::string session = Fitted(0.05, WallNow());
+  ASSERT_TRUE(log->Add({.kind = NightEventKind::kBegan, .at = WallNow(), .count = 1}).ok());
+  ASSERT_TRUE(log->Add({.kind = NightEventKind::kDone, .at = WallNow(), .session = session, .fit = "f1"}).ok());
+  ASSERT_TRUE(db::AppendToLedger(folder_, {db::LedgerKind::kForgetting, WallNow(), {session}, "", "{}"}).ok());
+  const auto page = WriteMorningReport(folder_, log->folder().filename().string());
+  ASSERT_TRUE(page.ok()) << page.status().message();
+  EXPECT_THAT(ReadText(*page), Not(HasSubstr(session)));
+  EXPECT_THAT(ReadText(page->parent_path() / "report.txt"), Not(HasSubstr(session)));
 }
 
 }  // namespace
