@@ -172,12 +172,16 @@ Result<NightRecord> ReadNight(const fs::path& folder) {
     if (at->path().extension() != kEnding) continue;
     SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(at->path()));
     std::istringstream lines(text);
+    // A clock that was set back turns nobody's story around.
+    WallNs latest;
     for (std::string line; std::getline(lines, line);) {
       auto event = ParseNightEvent(line);
-      if (event.ok())
-        record.events.push_back(std::move(*event));
-      else
+      if (!event.ok()) {
         ++record.unread;
+        continue;
+      }
+      latest = event->at = std::max(event->at, latest);
+      record.events.push_back(std::move(*event));
     }
   }
   std::stable_sort(record.events.begin(), record.events.end(),

@@ -57,8 +57,8 @@ class NightLog {
   [[nodiscard]] static Result<NightLog> Begin(const std::filesystem::path& store);
   // The night of that name, made where it is not there yet.
   [[nodiscard]] static Result<NightLog> Open(const std::filesystem::path& store, const std::string& name);
-  // On the disk when it returns. Of a session that was forgotten meanwhile, only that somebody was; where that cannot be
-  // asked, it is written to the session's file, which a forgetting wipes. kUsage for what is no session.
+  // On the disk when it returns. Of a session that was forgotten meanwhile, only that somebody was; where that cannot
+  // be asked, it is written to the session's file, which a forgetting wipes. kUsage for what is no session.
   Status Add(const NightEvent& event);
   // All that was said of a session: it was forgotten.
   Status Remove(const std::string& session);
@@ -73,8 +73,8 @@ class NightLog {
 
 // The nights of a store, oldest first: names of folders.
 [[nodiscard]] std::vector<std::string> Nights(const std::filesystem::path& store);
-// In the order in which they happened. A line that a power cut left half, or of a later version, is left out and
-// counted.
+// In the order in which they happened, those of a file in its own, whatever the clock said. A line that a power cut
+// left half, or of a later version, is left out and counted.
 struct NightRecord {
   std::vector<NightEvent> events;
   int unread = 0;

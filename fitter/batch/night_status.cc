@@ -31,6 +31,11 @@ NightStatus StatusOf(const std::vector<NightEvent>& events) {
         status.left_out.push_back(event);
         break;
       default: {
+        // Of whom was forgotten no more is known than how it ended: each is another.
+        if (event.session.empty()) {
+          if (IsEnd(event.kind)) status.visits.push_back({.kind = event.kind, .at = event.at, .reason = event.reason});
+          break;
+        }
         const auto [place, is_new] = places.try_emplace(event.session, status.visits.size());
         if (is_new) status.visits.push_back({.session = event.session});
         NightVisit& visit = status.visits[place->second];

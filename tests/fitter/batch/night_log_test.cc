@@ -82,5 +82,32 @@ TEST_F(NightLogTest, AVisitorsLastWordCounts) {
   EXPECT_FALSE(night.ended);
 }
 
+TEST_F(NightLogTest, AClockThatWasSetBackTurnsNoStoryAround) {
+  auto log = NightLog::Begin(folder_);
+  ASSERT_TRUE(log.ok());
+  constexpr int64_t kHour = 3'600'000'000'000;
+  const WallNs late{1'800'000'000'000'000'000}, early{late.ns - kHour};
+  ASSERT_TRUE(log->Add({.kind = NightEventKind::kBegan, .at = late, .count = 2}).ok());
+  ASSERT_TRUE(log->Add({.kind = NightEventKind::kStarted, .at = late, .session = "s1"}).ok());
+  ASSERT_TRUE(log->Add({.kind = NightEventKind::kStarted, .at = {late.ns + 1}, .session = "s2"}).ok());
+  ASSERT_TRUE(log->Add({.kind = NightEventKind::kDone, .at = early, .session = "s1"}).ok());
+  ASSERT_TRUE(log->Add({.kind = NightEventKind::kRetry, .at = early, .session = "s2"}).ok());
+  ASSERT_TRUE(log->Add({.kind = NightEventKind::kDone, .at = {early.ns + 1}, .session = "s2"}).ok());
+  const NightStatus night = StatusOf(ReadNight(log->folder())->events);
+  ASSERT_EQ(night.visits.size(), 2U);
+  EXPECT_EQ(night.visits[0].session, "s1");
+  EXPECT_EQ(night.Count(NightEventKind::kDone), 2);
+}
+
+TEST_F(NightLogTest, EachWhoWasForgottenCounts) {
+  const NightStatus night = StatusOf({{.kind = NightEventKind::kStarted, .attempt = 1},
+                                      {.kind = NightEventKind::kDropped, .reason = "was forgotten"},
+                                      {.kind = NightEventKind::kStarted, .attempt = 1},
+                                      {.kind = NightEventKind::kDropped, .reason = "was forgotten"}});
+  ASSERT_EQ(night.visits.size(), 2U);
+  EXPECT_EQ(night.Count(NightEventKind::kDropped), 2);
+  EXPECT_EQ(night.Over(), 2);
+}
+
 }  // namespace
 }  // namespace stratalux::fit
