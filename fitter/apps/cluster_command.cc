@@ -242,18 +242,23 @@ Status MergeAsItComes(const ClusterFlags& flags, std::chrono::seconds time, Logg
   const InterruptionAsks asks;
   const auto end = std::chrono::steady_clock::now() + time;
   std::map<fs::path, fs::file_time_type> before;
-  for (bool first = true;; first = false) {
+  std::set<std::string> told;
+  for (bool pending = true;;) {
     std::map<fs::path, fs::file_time_type> now;
     std::error_code error;
     for (const fs::path& file : ManifestFiles(flags.results)) now[file] = fs::last_write_time(file, error);
     pollfd asked{asks.fd(), POLLIN, 0};
     const bool over = std::chrono::steady_clock::now() >= end || poll(&asked, 1, 0) > 0;
-    if (first || over || now != before) {
-      SLX_ASSIGN_OR_RETURN(const MergeOutcome outcome,
-                           MergeShards(flags.batch.fit.run.store, flags.results, MergeMode::kKeep, logger));
-      if (over || outcome.missing.empty()) return TellMerge(flags, outcome, logger);
-      if (outcome.entered > 0)
-        logger.Info(Formatted("%d fits entered, %zu missing", outcome.entered, outcome.missing.size()));
+    if (pending || over || now != before) {
+      const auto outcome = MergeShards(flags.batch.fit.run.store, flags.results, MergeMode::kKeep, logger);
+      // Somebody merges by hand, a disk that fails once: the next look may find it otherwise.
+      const StatusCode code = outcome.status().code();
+      pending = code == StatusCode::kBusy || code == StatusCode::kFailed;
+      if (!outcome.ok() && (over || !pending)) return outcome.status();
+      if (outcome.ok() && (over || outcome->missing.empty())) return TellMerge(flags, *outcome, logger);
+      if (pending && told.insert(outcome.status().message()).second) logger.Warning(outcome.status().message());
+      if (outcome.ok() && outcome->entered > 0)
+        logger.Info(Formatted("%d fits entered, %zu missing", outcome->entered, outcome->missing.size()));
     }
     before = std::move(now);
     poll(&asked, 1, static_cast<int>(1000.0 * flags.every_s));

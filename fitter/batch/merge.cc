@@ -2,6 +2,9 @@
 #include "fitter/batch/merge.h"
 
 #include <algorithm>
+#include <cerrno>
+#include <charconv>
+#include <csignal>
 #include <map>
 #include <utility>
 
@@ -23,6 +26,8 @@ namespace stratalux::fit {
 namespace {
 
 namespace fs = std::filesystem;
+
+constexpr const char* kAside = ".closed-";  // RESULTS.closed-<process>, while it is removed
 
 // In `to`, with the files that are artifacts of the store as further names of those.
 Status CopyFit(const fs::path& from, const fs::path& to, const fs::path& session_folder) {
@@ -73,6 +78,10 @@ class Merger {
   Status Keep(const PlannedVisit& visit);
   Status Enter(const PlannedVisit& visit, const ShardVisit& said);
   Status Tell(const NightEvent& event);
+  // A fault of RESULTS is a problem of one visitor.
+  void NoteTrouble(const Status& of_results) {
+    if (!of_results.ok()) outcome_.problems.push_back(of_results.message());
+  }
 
   const fs::path store_, results_;
   const ShardPlan plan_;
@@ -128,7 +137,7 @@ Status Merger::Tell(const NightEvent& event) {
 // Of a forgotten session the log keeps that there was one.
 Status Merger::Drop(const PlannedVisit& visit, const std::string& reason) {
   ++outcome_.dropped;
-  SLX_RETURN_IF_ERROR(RemoveResults(results_, visit.session));
+  NoteTrouble(RemoveResults(results_, visit.session));
   SLX_ASSIGN_OR_RETURN(const bool forgotten, db::IsForgotten(store_, visit.session));
   NightEvent event{.kind = NightEventKind::kDropped, .at = WallNow(), .session = visit.session, .reason = reason};
   if (!forgotten) return Tell(event);
@@ -140,7 +149,9 @@ Status Merger::Enter(const PlannedVisit& visit, const ShardVisit& said) {
   const MadeFolder fit{"fits/" + visit.fit, ""};
   if (said.made.empty() || said.made.back().place != fit.place)
     return Status::Integrity("session " + visit.session + ": its shard made no fit " + visit.fit);
-  SLX_RETURN_IF_ERROR(CheckRecords(made, said.made));
+  const Status checked = CheckRecords(made, said.made);
+  if (checked.code() == StatusCode::kFailed) return Status::Integrity(checked.message());  // cannot be read
+  SLX_RETURN_IF_ERROR(checked);
   SLX_ASSIGN_OR_RETURN(const db::FileSeal seal, db::FindSeal(index_, visit.session));
   SLX_ASSIGN_OR_RETURN(auto artifacts, ArtifactStore::Open(session, PlainFiles(seal), logger_));
   SLX_ASSIGN_OR_RETURN(const UniqueFd in_use, artifacts.Use());
@@ -159,7 +170,8 @@ Status Merger::Take(const PlannedVisit& visit, const ShardVisit& said) {
   SLX_RETURN_IF_ERROR(db::LogAccess(store_, "fit", visit.session, "fit " + visit.fit));
   ++outcome_.entered;
   SLX_RETURN_IF_ERROR(Tell(said.end));
-  return MarkMerged(results_, visit.session);
+  NoteTrouble(MarkMerged(results_, visit.session));
+  return Status::Ok();
 }
 
 // By an earlier merge, one that was cut off before it could say so, or by a night of this store meanwhile.
@@ -170,7 +182,9 @@ Status Merger::Keep(const PlannedVisit& visit) {
     if (const ShardVisit* said = manifest.Find(visit.session); said != nullptr && said->end.kind == end.kind)
       end = said->end;
   SLX_RETURN_IF_ERROR(Tell(end));
-  return IsMerged(results_, visit.session) ? Status::Ok() : MarkMerged(results_, visit.session);
+  // Again, too: a shard that was run once more may have made something since.
+  NoteTrouble(MarkMerged(results_, visit.session));
+  return Status::Ok();
 }
 
 Status Merger::Merge(const PlannedVisit& visit) {
@@ -229,9 +243,35 @@ Result<MergeOutcome> Merger::Run(MergeMode mode) {
   return outcome_;
 }
 
+// What a merge that was killed while it removed RESULTS has left beside it: faces, under a name that nobody looks for.
+void RemoveLeftAside(const fs::path& results, Logger& logger) {
+  const std::string begin = (results.has_filename() ? results : results.parent_path()).filename().string() + kAside;
+  std::error_code error;
+  std::vector<fs::path> left;
+  for (fs::directory_iterator at(results.parent_path(), error), end; !error && at != end; at.increment(error)) {
+    const std::string name = at->path().filename().string();
+    pid_t process = 0;
+    if (!name.starts_with(begin)) continue;
+    const char* const last = name.data() + name.size();
+    const auto [read, problem] = std::from_chars(name.data() + begin.size(), last, process);
+    if (problem != std::errc() || read != last || process <= 0) continue;
+    // This process has set nothing aside yet: what has its number is of one before.
+    if (process == getpid() || (kill(process, 0) != 0 && errno == ESRCH)) left.push_back(at->path());
+  }
+  for (const fs::path& folder : left) {
+    fs::remove_all(folder, error);
+    if (error) logger.Warning("cannot remove " + folder.string() + ": " + error.message());
+  }
+}
+
 }  // namespace
 
-Result<MergeOutcome> MergeShards(const fs::path& store, const fs::path& results, MergeMode mode, Logger& logger) {
+Result<MergeOutcome> MergeShards(const fs::path& store, const fs::path& given, MergeMode mode, Logger& logger) {
+  // What is removed is the folder, not a link to it.
+  std::error_code error;
+  fs::path results = fs::weakly_canonical(given, error);
+  if (error) results = given;
+  if (mode == MergeMode::kClose) RemoveLeftAside(results, logger);
   SLX_ASSIGN_OR_RETURN(ShardPlan plan, ReadPlan(results));
   SLX_ASSIGN_OR_RETURN(auto index, db::SessionStore::Open(store, db::AccessMode::kReadOnly));
   SLX_ASSIGN_OR_RETURN(const auto lock, db::FileLock::TryTake(results / ".merge.lock",
@@ -241,15 +281,15 @@ Result<MergeOutcome> MergeShards(const fs::path& store, const fs::path& results,
   SLX_ASSIGN_OR_RETURN(MergeOutcome outcome,
                        Merger(store, results, std::move(plan), std::move(log), std::move(index), logger).Run(mode));
   if (mode == MergeMode::kKeep) return outcome;
-  std::error_code error;
   // Aside first, where that can be: who looks for a plan or an ask meanwhile finds none, not half of them.
   fs::path aside = results;
   if (!aside.has_filename()) aside = aside.parent_path();
-  aside += Formatted(".closed-%d", static_cast<int>(getpid()));
+  aside += kAside + std::to_string(getpid());
   fs::rename(results, aside, error);
   const fs::path old = error ? results : aside;
   fs::remove_all(old, error);
   if (error) return Status::Failed("cannot remove " + old.string() + ": " + error.message());
+  if (fs::is_symlink(given, error)) fs::remove(given, error);
   return outcome;
 }
 

@@ -27,7 +27,8 @@ struct MergeOutcome {
   std::vector<std::string> problems;  // files that are not what a manifest or a record says
 };
 
-// kClose: the folder is removed afterwards; who is missing is planned anew with the next night. Its shards are over.
+// kClose: the folder is removed afterwards, with what closes that were killed have left beside it; who is missing is
+// planned anew with the next night. Its shards are over.
 enum class MergeMode { kKeep, kClose };
 
 // kBusy while another merge of these results runs. What is wrong with one visitor is a problem, and the others go on.

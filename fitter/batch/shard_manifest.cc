@@ -134,8 +134,10 @@ bool IsMerged(const fs::path& results, const std::string& session) {
 // The mark first: what lies beside it counts no more.
 Status MarkMerged(const fs::path& results, const std::string& session) {
   const fs::path folder = ResultsOf(results, session);
-  SLX_RETURN_IF_ERROR(db::MakeFolder(folder));
-  SLX_RETURN_IF_ERROR(db::ReplaceFile(folder / kMerged, ""));
+  if (!IsMerged(results, session)) {
+    SLX_RETURN_IF_ERROR(db::MakeFolder(folder));
+    SLX_RETURN_IF_ERROR(db::ReplaceFile(folder / kMerged, ""));
+  }
   std::error_code error;
   for (const char* made : {"fits", db::kArtifactsFolder}) {
     fs::remove_all(folder / made, error);
