@@ -62,6 +62,9 @@ bool ShardRun::IsDone(const ShardVisit& visit) const {
 Status ShardRun::GoOnFromEarlier() {
   manifest_ = {plan_.id, options_.shard, {}};
   auto earlier = ReadManifest(ManifestFile(options_.results, options_.shard), plan_);
+  // Half a manifest, or one of another plan, is none. One that says something, and cannot be read here, stays.
+  const StatusCode code = earlier.status().code();
+  if (!earlier.ok() && code != StatusCode::kNotFound && code != StatusCode::kIntegrity) return earlier.status();
   if (earlier.ok()) manifest_.visits = std::move(earlier->visits);
   // Who failed begins anew.
   std::erase_if(manifest_.visits, [this](const ShardVisit& visit) {
@@ -155,13 +158,14 @@ Result<ShardOutcome> ShardRun::Run(int stop) {
   SLX_RETURN_IF_ERROR(DropWhoMayNot());
   std::vector<std::string> sessions;
   for (const PlannedVisit* visit : visits_)
-    if (manifest_.Find(visit->session) == nullptr) sessions.push_back(visit->session);
+    if (manifest_.Find(visit->session) == nullptr && !IsMerged(options_.results, visit->session))
+      sessions.push_back(visit->session);
   if (!sessions.empty()) SLX_RETURN_IF_ERROR(Night(sessions, stop));
   ShardOutcome outcome{.manifest = ManifestFile(options_.results, options_.shard)};
   for (const PlannedVisit* visit : visits_) {
     const ShardVisit* said = manifest_.Find(visit->session);
     if (said == nullptr)
-      ++outcome.waiting;
+      ++(IsMerged(options_.results, visit->session) ? outcome.fitted : outcome.waiting);
     else if (said->end.kind == NightEventKind::kDone)
       ++outcome.fitted;
     else if (said->end.kind == NightEventKind::kDropped)

@@ -29,7 +29,8 @@ struct ShardOutcome {
 };
 
 // `heard`: each event of this run. kUsage where this machine or program makes other fits than the plan names;
-// kTryAgain while another process works on the same shard.
+// kTryAgain while another process works on the same shard; kNewerSchema, kFailed where its manifest cannot be read
+// here.
 [[nodiscard]] Result<ShardOutcome> RunShard(const ShardOptions& options, const ShardPlan& plan, int stop,
                                             const std::function<void(const NightEvent&)>& heard, Logger& logger);
 

@@ -99,9 +99,10 @@ std::vector<int> ShardsToDo(const ShardPlan& plan, const fs::path& results, int 
   for (int i = 1; i <= count; ++i) {
     const std::vector<size_t> own = VisitsOf(plan, {i, count});
     const auto manifest = ReadManifest(ManifestFile(results, {i, count}), plan);
-    const bool over = manifest.ok() && std::all_of(own.begin(), own.end(), [&](size_t place) {
-                        return manifest->Find(plan.visits[place].session) != nullptr;
-                      });
+    const bool over = std::all_of(own.begin(), own.end(), [&](size_t place) {
+      const std::string& session = plan.visits[place].session;
+      return (manifest.ok() && manifest->Find(session) != nullptr) || IsMerged(results, session);
+    });
     if (!over && !own.empty()) left.push_back(i);
   }
   return left;
