@@ -2,6 +2,7 @@
 // `stratalux-fit batch`: the visitors of a store, fitted in a night.
 #include <algorithm>
 #include <chrono>
+#include <ctime>
 #include <memory>
 
 #include <CLI/CLI.hpp>
@@ -16,6 +17,7 @@
 #include "fitter/batch/morning_report.h"
 #include "fitter/batch/night_status.h"
 #include "fitter/batch/shard_plan.h"
+#include "fitter/batch/time_of_day.h"
 #include "fitter/batch/visit_cost.h"
 #include "fitter/pipeline/interruption.h"
 #include "shared/base/formatted.h"
@@ -83,6 +85,13 @@ Status PrintPlan(const BatchFlags& flags, Logger& logger) {
 }
 
 Status RunBatch(const BatchFlags& flags, Logger& logger) {
+  if (!flags.from.empty()) {
+    SLX_ASSIGN_OR_RETURN(const bool now, IsBetween(flags.from, flags.until, std::time(nullptr)));
+    if (!now) {
+      logger.Info("nobody is fitted: it is not between " + flags.from + " and " + flags.until + " (--from, --until)");
+      return Status::Ok();
+    }
+  }
   SLX_ASSIGN_OR_RETURN(const NightOptions night, NightOf(flags));
   const InterruptionAsks asks;
   NightTeller teller(logger, flags);
@@ -236,7 +245,10 @@ void AddBatchCommands(CLI::App& app, int& exit_code) {
       "  stratalux-fit batch run --store store --full-evaluation --json > night.jsonl");
   AddChoice(*run, *ran);
   AddWorkers(*run, *ran);
-  run->add_option("--until", ran->until, "Time of day: nobody is begun who would not be finished by then");
+  auto* until =
+      run->add_option("--until", ran->until, "Time of day: nobody is begun who would not be finished by then");
+  run->add_option("--from", ran->from, "Time of day, with --until: outside of that span nobody is fitted, exit code 0")
+      ->needs(until);
   AddAttempts(*run, *ran);
   OnCall(*run, exit_code, [ran](Logger& logger) { return RunBatch(*ran, logger); });
 

@@ -8,6 +8,7 @@
 
 #include <CLI/CLI.hpp>
 
+#include "fitter/batch/time_of_day.h"
 #include "shared/base/formatted.h"
 #include "shared/base/read_file.h"
 #include "shared/base/standard_output.h"
@@ -113,28 +114,6 @@ Status SetWorkers(const BatchFlags& flags, NightOptions& night) {
   return Status::Ok();
 }
 
-// The next time that a clock of this machine says so.
-Result<std::chrono::seconds> TimeUntil(const std::string& text) {
-  int hour = -1, minute = -1, length = 0;
-  const int read = std::sscanf(text.c_str(), "%2d:%2d%n", &hour, &minute, &length);
-  if (read != 2 || static_cast<size_t>(length) != text.size() || hour < 0 || hour > 23 || minute < 0 || minute > 59)
-    return Status::Usage("--until " + text + ": a time of day, such as 07:00");
-  const std::time_t now = std::time(nullptr);
-  std::tm then{};
-  localtime_r(&now, &then);
-  then.tm_hour = hour;
-  then.tm_min = minute;
-  then.tm_sec = 0;
-  then.tm_isdst = -1;
-  std::time_t at = std::mktime(&then);
-  if (at <= now) {
-    ++then.tm_mday;
-    then.tm_isdst = -1;
-    at = std::mktime(&then);
-  }
-  return std::chrono::seconds(at - now);
-}
-
 Result<ChoiceOptions> ChoiceOf(const BatchFlags& flags) {
   ChoiceOptions choice;
   SLX_ASSIGN_OR_RETURN(choice.run, RunOptionsOf(flags.fit));
@@ -149,7 +128,7 @@ Result<NightOptions> NightOf(const BatchFlags& flags) {
   night.arguments = GivenArguments(flags.fit_options);
   SLX_RETURN_IF_ERROR(SetWorkers(flags, night));
   if (!flags.until.empty()) {
-    SLX_ASSIGN_OR_RETURN(const auto left, TimeUntil(flags.until));
+    SLX_ASSIGN_OR_RETURN(const auto left, TimeUntil(flags.until, std::time(nullptr)));
     night.deadline = std::chrono::steady_clock::now() + left;
   }
   return night;

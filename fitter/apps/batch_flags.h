@@ -23,7 +23,7 @@ inline constexpr double kGib = 1024.0 * 1024.0 * 1024.0;
 struct BatchFlags {
   FitFlags fit;
   std::vector<CLI::Option*> fit_options;
-  std::string order = "newest", until;
+  std::string order = "newest", from, until;
   int most = 0, workers = 0, threads = 0, attempts = 3;
   double memory_gib = 0.0, visit_limit_min = 60.0;
   std::vector<int64_t> jobs;
@@ -44,8 +44,6 @@ void AddAttempts(CLI::App& verb, BatchFlags& flags);
 Status SetWorkers(const BatchFlags& flags, NightOptions& night);
 // The file of this program, which workers and tasks run.
 [[nodiscard]] Result<std::filesystem::path> OwnProgram();
-// The next time that a clock of this machine says "07:00".
-[[nodiscard]] Result<std::chrono::seconds> TimeUntil(const std::string& text);
 
 [[nodiscard]] Result<ChoiceOptions> ChoiceOf(const BatchFlags& flags);
 // A night as all of these options say.

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cstdlib>
+#include <ctime>
 #include <map>
 #include <memory>
 #include <optional>
@@ -24,6 +25,7 @@
 #include "fitter/batch/shard.h"
 #include "fitter/batch/shard_keys.h"
 #include "fitter/batch/slurm.h"
+#include "fitter/batch/time_of_day.h"
 #include "fitter/pipeline/interruption.h"
 #include "shared/base/formatted.h"
 #include "shared/base/standard_output.h"
@@ -111,7 +113,7 @@ Status AnswerKeys(const ClusterFlags& flags, Logger& logger) {
   if (!flags.shard.empty()) return Status::Usage("--answer is for every shard: without " + flags.shard);
   std::optional<std::chrono::seconds> time;
   if (!flags.batch.until.empty()) {
-    SLX_ASSIGN_OR_RETURN(time, TimeUntil(flags.batch.until));
+    SLX_ASSIGN_OR_RETURN(time, TimeUntil(flags.batch.until, std::time(nullptr)));
   }
   SLX_RETURN_IF_ERROR(CheckAnswerer(flags, logger));
   const InterruptionAsks asks;
@@ -269,7 +271,7 @@ Status Submit(const ClusterFlags& flags, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const SlurmOptions options, SlurmOf(flags));
   std::chrono::seconds time{0};
   if (!flags.batch.until.empty()) {
-    SLX_ASSIGN_OR_RETURN(time, TimeUntil(flags.batch.until));
+    SLX_ASSIGN_OR_RETURN(time, TimeUntil(flags.batch.until, std::time(nullptr)));
   }
   SLX_ASSIGN_OR_RETURN(const ShardPlan plan, PlanToSubmit(flags, logger));
   auto jobs = ReadSlurmJobs(options.results);

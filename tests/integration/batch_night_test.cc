@@ -2,6 +2,7 @@
 // `stratalux-fit batch` as its user runs it: a night whose workers and whose own process are killed fits everybody, bit
 // for bit as an undisturbed run does.
 #include <csignal>
+#include <ctime>
 #include <fstream>
 #include <set>
 #include <sstream>
@@ -55,6 +56,15 @@ class BatchNight : public SmallFit {
     for (const auto& artifact : fs::directory_iterator(session / "artifacts"))
       compared += artifact.path().filename().string().starts_with("compare-") ? 1 : 0;
     return compared;
+  }
+  // A time of day.
+  static std::string InHours(int hours) {
+    const std::time_t then = std::time(nullptr) + int64_t{3600} * hours;
+    std::tm local{};
+    localtime_r(&then, &local);
+    char text[8];
+    std::strftime(text, sizeof text, "%H:%M", &local);
+    return text;
   }
   static pid_t AWorkerOf(pid_t batch) {
     std::ifstream file("/proc/" + std::to_string(batch) + "/task/" + std::to_string(batch) + "/children");
@@ -175,6 +185,11 @@ TEST_F(BatchNight, BadWordsAreNamed) {
   const std::string batch = "stratalux-fit batch ", in = " --store " + store.string();
   EXPECT_THAT(Execute(batch + "run --until 25:00" + in).out, HasSubstr("--until 25:00: a time of day"));
   EXPECT_EQ(Execute(batch + "run --until 7" + in).code, 2);
+  EXPECT_EQ(Execute(batch + "run --from 20:00" + in).code, 2);
+  // A span that is hours away: nothing is done, and that is no failure.
+  const Outcome outside = Execute(batch + "run --from " + InHours(2) + " --until " + InHours(4) + in);
+  EXPECT_EQ(outside.code, 0);
+  EXPECT_THAT(outside.out, HasSubstr("nobody is fitted: it is not between"));
   EXPECT_EQ(Execute(batch + "run --workers 2 --layers 99" + in).code, 2);
   EXPECT_EQ(Execute(batch + "status" + in).code, 4);
   EXPECT_THAT(Execute(batch + "report" + in).out, HasSubstr("has had no night"));
