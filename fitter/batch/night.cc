@@ -471,12 +471,16 @@ Result<NightOutcome> Night::Run(const NightChoice& choice) {
   const Status worked = Work();
   // What ends the night, such as a full disk, costs nobody an attempt.
   const Status given_back = GiveBack();
-  SLX_RETURN_IF_ERROR(worked);
-  SLX_RETURN_IF_ERROR(given_back);
-  SLX_RETURN_IF_ERROR(TellWhoWasSetAside());
+  const Status told = TellWhoWasSetAside();
   NightEvent ended{
       .kind = NightEventKind::kEnded, .seconds = InSeconds(Clock::now() - began_), .count = outcome_.fitted};
   ended.reason = outcome_.stopped ? "stopped" : outcome_.out_of_time ? "no time for another visitor" : "";
+  for (const Status& failed : {worked, given_back, told}) {
+    if (failed.ok()) continue;
+    ended.reason = failed.message();
+    if (const Status last = Tell(ended); !last.ok()) logger_.Debug(last.message());
+    return failed;
+  }
   SLX_RETURN_IF_ERROR(Tell(ended));
   return outcome_;
 }

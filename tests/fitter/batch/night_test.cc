@@ -365,6 +365,27 @@ TEST_F(NightTest, WhatCannotBeWrittenEndsTheNightAndCostsNobodyAnAttempt) {
   }
 }
 
+// As far as it can be told: one visitor's file cannot be written.
+TEST_F(NightTest, ANightThatCannotGoOnSaysSo) {
+  Visitors(2);
+  options_.workers = 2;
+  options_.foreseen = {{{1.0, 1000}, 1000}};
+  Workers("[ $S = " + sessions_[0] +
+          " ] || exec sleep 1000\n"
+          "while [ $(ls $W/*.begun | wc -l) -lt 2 ]; do sleep 0.05; done\n"
+          "FILE=$(echo $4/nights/*/$S.jsonl); rm $FILE && mkdir $FILE");
+  Logger quiet(LogLevel::kError);
+  const auto outcome = RunNight(options_, choice_, -1, {}, quiet);
+  EXPECT_EQ(outcome.status().code(), StatusCode::kFailed) << outcome.status().message();
+  const std::filesystem::path night = folder_ / "nights" / Nights(folder_).front();
+  std::filesystem::remove(night / (sessions_[0] + ".jsonl"));
+  night_ = StatusOf(ReadNight(night)->events);
+  EXPECT_TRUE(night_.ended);
+  EXPECT_THAT(night_.end_reason, HasSubstr(sessions_[0] + ".jsonl"));
+  EXPECT_EQ(VisitOf(sessions_[1]).kind, NightEventKind::kReleased);
+  EXPECT_EQ(JobOf(sessions_[1]).attempts, 0);
+}
+
 TEST_F(NightTest, WhoseWorkerCannotBeBegunHasFailedAndIsTold) {
   Visitors(1);
   options_.program = "/nonexistent";
