@@ -2,13 +2,16 @@
 // `stratalux-fit batch shard` and `merge` as their user runs them: a night on machines that see the sealed sessions and
 // nothing else of the store, whatever is lost, killed or run twice.
 #include <csignal>
+#include <ctime>
 #include <fstream>
+#include <optional>
 #include <sstream>
 #include <thread>
 
 #include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
 
+#include "db/base/file_lock.h"
 #include "tests/integration/small_fit.h"
 #include "tests/support/text_file.h"
 
@@ -265,6 +268,30 @@ TEST_F(BatchShards, AMergeThatIsKilledAnywhereIsFinishedByTheNext) {
     EXPECT_EQ(Db(store, "verify --deep").code, 0) << where;
     fs::remove_all(store.parent_path());
   }
+}
+
+// All shards are done: `submit` stays to merge, and asks no engine.
+TEST_F(BatchShards, AMergeByHandDoesNotEndTheNightsSubmit) {
+  const fs::path store = FittedByShards();
+  WriteText(results_ / "slurm.json", R"({"schema": 1, "shards": 2, "jobs": ["1"]})");
+  const std::time_t later = std::time(nullptr) + 3600;
+  std::tm local{};
+  localtime_r(&later, &local);
+  char until[8];
+  std::strftime(until, sizeof until, "%H:%M", &local);
+  auto by_hand = std::make_optional(db::FileLock::TryTake(results_ / ".merge.lock", "busy"));
+  ASSERT_TRUE(by_hand->ok());
+  const fs::path log = folder_ / "submit.log";
+  Running submit({"stratalux-fit", "batch", "submit", "--engine", "slurm", "--again", "--store", store.string(),
+                  "--results", results_.string(), "--until", until, "--every", "0.2"},
+                 log);
+  while (ReadText(log).find("is running") == std::string::npos && !submit.WaitFor(milliseconds(20))) continue;
+  EXPECT_FALSE(submit.WaitFor(milliseconds(1000))) << ReadText(log);
+  by_hand.reset();
+  const Outcome outcome = submit.Wait();
+  EXPECT_EQ(outcome.code, 0) << outcome.out;
+  EXPECT_THAT(outcome.out, HasSubstr("3 fits entered"));
+  for (const std::string& session : sessions_) EXPECT_NE(Layers(store / "sessions" / session), "") << session;
 }
 
 TEST_F(BatchShards, BadWordsAreNamed) {
