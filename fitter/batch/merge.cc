@@ -196,7 +196,8 @@ Status Merger::Merge(const PlannedVisit& visit) {
   }
   const Status may = row.ok() ? MayStillBeFitted(store_, visit.session, row->info.visitor)
                               : db::RefuseForgotten(store_, visit.session);
-  if (!may.ok()) return Drop(visit, may.message());
+  if (Forbids(may)) return Drop(visit, may.message());
+  SLX_RETURN_IF_ERROR(may);
   if (!row.ok()) return row.status();
   const ShardVisit* ended = nullptr;
   for (const ShardManifest& manifest : manifests_) {

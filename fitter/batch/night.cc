@@ -39,10 +39,6 @@ bool WorthTryingAgain(int exit_code) {
   return code == StatusCode::kFailed || code == StatusCode::kBusy || code == StatusCode::kTryAgain;
 }
 
-// An answer that says no, not one that could not be had: a busy disk or a ledger's line of a later version drops
-// nobody.
-bool Forbids(const Status& may) { return may.code() == StatusCode::kUsage || may.code() == StatusCode::kNotFound; }
-
 double InSeconds(Clock::duration time) { return std::chrono::duration<double>(time).count(); }
 std::string InGib(int64_t bytes) { return Formatted("%.2f GiB", static_cast<double>(bytes) / (int64_t{1} << 30)); }
 

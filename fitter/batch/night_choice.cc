@@ -72,6 +72,8 @@ Status MayStillBeFitted(const std::string& store, const std::string& session, co
   return visitor.empty() ? Status::Ok() : db::ValidConsent(store, visitor).status();
 }
 
+bool Forbids(const Status& may) { return may.code() == StatusCode::kUsage || may.code() == StatusCode::kNotFound; }
+
 Result<NightChoice> ChooseNight(const ChoiceOptions& options, Logger& logger) {
   NightChoice choice;
   std::vector<db::SessionSummary> sessions;

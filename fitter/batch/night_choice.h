@@ -61,6 +61,9 @@ struct NightChoice {
 [[nodiscard]] Result<NightChoice> ChooseNight(const ChoiceOptions& options, Logger& logger);
 // kOk while the session may be fitted; else why not any more: it was forgotten, or the consent is gone.
 [[nodiscard]] Status MayStillBeFitted(const std::string& store, const std::string& session, const std::string& visitor);
+// An answer that says no, not one that could not be had: a busy disk or a ledger's line of a later version drops
+// nobody.
+[[nodiscard]] bool Forbids(const Status& may);
 // Of a fit with these options: what asks for it again is the same job.
 [[nodiscard]] std::string JobKey(const ChosenVisit& visit);
 

@@ -8,6 +8,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include "db/ledger/ledger_line.h"
 #include "fitter/batch/night_status.h"
 #include "tests/db/store_fixture.h"
 #include "tests/support/text_file.h"
@@ -110,6 +111,25 @@ TEST_F(MergeTest, AFaultBelowOneVisitorKeepsNobodyElse) {
   ASSERT_THAT(outcome->problems, SizeIs(1));
   EXPECT_THAT(outcome->problems[0], HasSubstr(first));
   EXPECT_TRUE(IsMerged(results_, second));
+}
+
+// Whether somebody was forgotten is not known for the moment: what was made of them is kept.
+TEST_F(MergeTest, ALedgerThatCannotBeReadDropsNobody) {
+  const std::string session = StoreSession(1);
+  Planned({session});
+  const fs::path made = ResultsOf(results_, session) / "fits" / "f1";
+  fs::create_directories(made);
+  const fs::path later = folder_ / "ledger" / "0123456789abcdef0123456789abcdef.jsonl";
+  const std::string said = R"({"schema":99,"kind":"sealing")";
+  fs::create_directories(later.parent_path());
+  WriteText(later, said + ",\"hash\":\"" + db::LedgerHash(said + "}") + "\"}\n");
+  EXPECT_EQ(Merge(results_, MergeMode::kKeep).status().code(), StatusCode::kNewerSchema);
+  EXPECT_TRUE(fs::exists(made));
+  fs::remove(later);
+  const auto outcome = Merge(results_, MergeMode::kKeep);
+  ASSERT_TRUE(outcome.ok()) << outcome.status().message();
+  EXPECT_EQ(outcome->dropped, 0);
+  EXPECT_THAT(outcome->missing, SizeIs(1));
 }
 
 // A shard that was run again behind the merge.
