@@ -24,7 +24,7 @@ inline constexpr const char* kCaptureExamples = R"(Examples:
   stratalux-rig capture --simulate --store store --fault frame_lost@17 --fault edge_lost@40x2
   stratalux-rig capture --simulate --store store --fault-rate 0.02 --fault-seed 5
   stratalux-rig capture --simulate --store store --on-start --simulate-events /tmp/rig &
-      sleep 1; echo start > /tmp/rig
+      until [ -p /tmp/rig ]; do sleep 1; done; echo start > /tmp/rig
   stratalux-rig capture --kind calibration --simulate=docs/examples/scenes/charuco_poses.toml --store store
   stratalux-rig capture --kind calibration --store store
   stratalux-rig capture --kind calibration --pose 3 --store store
@@ -37,7 +37,7 @@ inline constexpr const char* kKioskExamples = R"(Examples:
   stratalux-rig kiosk --config rig.toml --store store
   printf 'start\nnot-sensitive\nrefuse\nstop\n' | stratalux-rig kiosk --simulate --store store
   stratalux-rig kiosk --simulate --size 696x520 --store store --simulate-events /tmp/rig &
-      sleep 1; echo start > /tmp/rig
+      until [ -p /tmp/rig ]; do sleep 1; done; echo start > /tmp/rig
   stratalux-rig kiosk --simulate --store store --page
 
 With --page or [kiosk.page] a browser shows the screens; its address is a line of JSON on stdout. Else screens are

@@ -331,9 +331,9 @@ void AddCalibrateCommand(CLI::App& app, int& exit_code) {
       "  stratalux-fit calibrate latest --store store --board chess --squares 10x8 --square-mm 75 --json");
   verb->add_option("session", flags->sessions, "Sessions: ids, unique prefixes, or latest (default)");
   verb->add_option("--store", flags->store, "Store folder")->envname("STRATALUX_STORE")->required();
-  verb->add_option(
-          "--last", flags->last,
-          "The newest N sessions of kind calibration, and all of kind dark, flat and response since the first of them")
+  verb->add_option("--last", flags->last,
+                   "The newest N poses of the board (attempts at one pose count once), and all sessions of kind dark, "
+                   "flat and response since the first of them")
       ->check(CLI::Range(1, 1000));
   verb->add_option("--board", flags->board, "charuco or chess")->capture_default_str();
   verb->add_option("--squares", flags->squares, "Squares, COLUMNSxROWS (one more each way than inner corners)")
