@@ -12,13 +12,11 @@ import sys
 ROOTS = ["shared", "db", "firmware-host", "fitter"]
 # Each folder may include only itself and those before it.
 ORDERS = {
-    "shared": "base units geometry image transport pattern capture config http manual",
+    "shared": "base units image geometry transport pattern capture config http manual",
     "db": "base keys segment ledger catalogue care privacy transfer interchange apps",
     "fitter": "image export sensor structured_light mixture reconstruction separation motion skin photometric srd "
               "scattering render profiles session stages calibration evaluation report pipeline batch apps",
 }
-# geometry may name the pixel format of a mosaic; image and geometry are otherwise independent.
-EXCEPT = {("shared/geometry", "image")}
 TRUTH = r'"db/segment/truth_segment\.h"'
 ROOMS_OF_SQLITE = r"base|keys|catalogue|care|privacy"
 
@@ -94,7 +92,7 @@ class Check:
 
     def one_way(self, parent, folders):
         for at, folder in enumerate(folders):
-            later = [f for f in folders[at + 1:] if (f"{parent}/{folder}", f) not in EXCEPT]
+            later = folders[at + 1:]
             if later:
                 self.forbid(f"{parent}/{folder}", rf'"{parent}/(?:{"|".join(later)})/',
                             f"{parent}/{folder} stands above what it includes")

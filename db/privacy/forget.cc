@@ -11,6 +11,7 @@
 #include "db/base/memory_folder.h"
 #include "db/base/write_lock.h"
 #include "db/care/incoming.h"
+#include "db/catalogue/forgotten_rows.h"
 #include "db/catalogue/ledger_follow.h"
 #include "db/keys/key_store.h"
 #include "db/keys/sealed_key.h"
@@ -229,22 +230,15 @@ Status Forgetting::RemoveFoldersAside() {
 Status Forgetting::RemoveRows(SessionIndex& index) {
   Connection& connection = index.connection();
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
-  SLX_ASSIGN_OR_RETURN(auto session, connection.Prepare("DELETE FROM sessions WHERE id = ?1"));
-  SLX_ASSIGN_OR_RETURN(auto access,
-                       connection.Prepare("UPDATE access_log SET detail = replace(detail, ?2, '(forgotten)') WHERE"
-                                          " session_id = ?1 AND ?2 <> ''"));
   SLX_ASSIGN_OR_RETURN(auto tombstone,
                        connection.Prepare("INSERT OR IGNORE INTO deletions (session_id, deleted_wall_ns, reason,"
                                           " certificate_json) VALUES (?1, ?2, ?3, '{}')"));
-  SLX_ASSIGN_OR_RETURN(auto visitor, connection.Prepare("DELETE FROM visitors WHERE id = ?1 AND NOT EXISTS"
-                                                        " (SELECT 1 FROM sessions WHERE visitor = ?1)"));
+  std::vector<VisitorSession> rows;
   for (const ForgetIntent& intent : intents_) {
-    SLX_RETURN_IF_ERROR(session.Bind(1, intent.session).Run());
-    SLX_RETURN_IF_ERROR(access.Bind(1, intent.session).Bind(2, intent.visitor).Run());
     SLX_RETURN_IF_ERROR(tombstone.Bind(1, intent.session).Bind(2, intent.began.ns).Bind(3, intent.reason).Run());
+    rows.push_back({intent.session, intent.visitor});
   }
-  for (const ForgetIntent& intent : intents_) SLX_RETURN_IF_ERROR(visitor.Bind(1, intent.visitor).Run());
-  for (const std::string& id : request_.visitors) SLX_RETURN_IF_ERROR(visitor.Bind(1, id).Run());
+  SLX_RETURN_IF_ERROR(RemoveForgottenRows(index, rows, request_.visitors));
   return transaction.Commit();
 }
 

@@ -7,6 +7,7 @@
 
 #include "db/care/reindex.h"
 #include "db/care/session_rebuild.h"
+#include "db/catalogue/forgotten_rows.h"
 #include "db/transfer/adopt.h"
 
 namespace stratalux::db {
@@ -14,11 +15,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-struct IndexedSession {
-  std::string id, visitor;
-};
-Result<std::vector<IndexedSession>> SessionsOfIndex(Connection& connection) {
-  std::vector<IndexedSession> sessions;
+Result<std::vector<VisitorSession>> SessionsOfIndex(Connection& connection) {
+  std::vector<VisitorSession> sessions;
   SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT id, visitor FROM sessions ORDER BY number"));
   while (true) {
     SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
@@ -76,7 +74,7 @@ Status ListFolder(SessionIndex& index, const fs::path& folder, const std::string
 Status ListUnlisted(SessionIndex& index, const fs::path& store, const std::string& from, RestoreReport& report) {
   SLX_ASSIGN_OR_RETURN(const auto sessions, SessionsOfIndex(index.connection()));
   std::set<std::string> listed;
-  for (const IndexedSession& session : sessions) listed.insert(session.id);
+  for (const VisitorSession& row : sessions) listed.insert(row.session);
   std::error_code error;
   std::set<fs::path> unlisted;
   for (const auto& entry : fs::directory_iterator(store / "sessions", error))
@@ -93,20 +91,9 @@ Status ListUnlisted(SessionIndex& index, const fs::path& store, const std::strin
 }  // namespace
 
 Result<bool> ForgetRows(SessionIndex& index, const Ledger& ledger) {
-  Connection& connection = index.connection();
-  SLX_ASSIGN_OR_RETURN(auto forgotten, SessionsOfIndex(connection));
-  std::erase_if(forgotten, [&](const IndexedSession& session) { return !ledger.IsForgotten(session.id); });
-  SLX_ASSIGN_OR_RETURN(auto row, connection.Prepare("DELETE FROM sessions WHERE id = ?1"));
-  SLX_ASSIGN_OR_RETURN(auto access,
-                       connection.Prepare("UPDATE access_log SET detail = replace(detail, ?2, '(forgotten)') WHERE"
-                                          " session_id = ?1 AND ?2 <> ''"));
-  SLX_ASSIGN_OR_RETURN(auto visitor, connection.Prepare("DELETE FROM visitors WHERE id = ?1 AND NOT EXISTS"
-                                                        " (SELECT 1 FROM sessions WHERE visitor = ?1)"));
-  for (const IndexedSession& session : forgotten) {
-    SLX_RETURN_IF_ERROR(row.Bind(1, session.id).Run());
-    SLX_RETURN_IF_ERROR(access.Bind(1, session.id).Bind(2, session.visitor).Run());
-  }
-  for (const IndexedSession& session : forgotten) SLX_RETURN_IF_ERROR(visitor.Bind(1, session.visitor).Run());
+  SLX_ASSIGN_OR_RETURN(auto forgotten, SessionsOfIndex(index.connection()));
+  std::erase_if(forgotten, [&](const VisitorSession& row) { return !ledger.IsForgotten(row.session); });
+  SLX_RETURN_IF_ERROR(RemoveForgottenRows(index, forgotten));
   return !forgotten.empty();
 }
 
@@ -119,10 +106,10 @@ Status PrepareIndex(const fs::path& store, const fs::path& work, const std::stri
   {
     SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
     SLX_ASSIGN_OR_RETURN(auto remove, connection.Prepare("DELETE FROM sessions WHERE id = ?1"));
-    for (const IndexedSession& session : sessions) {
+    for (const VisitorSession& row : sessions) {
       std::error_code error;
-      if (ledger.IsForgotten(session.id) || fs::exists(store / "sessions" / session.id, error)) continue;
-      SLX_RETURN_IF_ERROR(remove.Bind(1, session.id).Run());
+      if (ledger.IsForgotten(row.session) || fs::exists(store / "sessions" / row.session, error)) continue;
+      SLX_RETURN_IF_ERROR(remove.Bind(1, row.session).Run());
     }
     SLX_ASSIGN_OR_RETURN(any_forgotten, ForgetRows(index, ledger));
     SLX_RETURN_IF_ERROR(transaction.Commit());

@@ -93,27 +93,16 @@ Comparison CompareCorners(const Reference& reference, int pose, const DecodedMap
 struct PoseMaps {
   std::string name;
   Image<float> column, row;
-  bool columns = false, rows = false;
+  CodedAxes captured;
 };
-
-PoseMaps MapsOf(const SessionFrames& frames, const DecodeFlags& f, int pose, DecodedMap map) {
-  PoseMaps maps{"projector" + std::to_string(f.projector) + (pose >= 0 ? "_pose" + std::to_string(pose) : ""),
-                std::move(map.column), std::move(map.row)};
-  for (const db::FrameRow& row : frames.rows()) {
-    const FrameRecord& r = row.record;
-    if (r.pattern.kind != PatternKind::kGray || r.projector != f.projector || r.pose != pose) continue;
-    (r.pattern.axis == PatternAxis::kRows ? maps.rows : maps.columns) = true;
-  }
-  return maps;
-}
 
 // All of them, each whole or not there.
 Status WriteMaps(const DecodeFlags& f, const std::string& session, const std::vector<PoseMaps>& all) {
   std::vector<std::pair<std::string, const Image<float>*>> axes;
   std::vector<std::string> files;
   for (const PoseMaps& pose : all)
-    for (const auto& [axis, captured, values] :
-         {std::tuple{"_column", pose.columns, &pose.column}, std::tuple{"_row", pose.rows, &pose.row}}) {
+    for (const auto& [axis, captured, values] : {std::tuple{"_column", pose.captured.columns, &pose.column},
+                                                 std::tuple{"_row", pose.captured.rows, &pose.row}}) {
       if (!captured) continue;
       axes.emplace_back(pose.name + axis, values);
       files.push_back(pose.name + axis + ".exr");
@@ -152,7 +141,9 @@ Status DecodePose(const SessionFrames& frames, const DecodeFlags& f, int pose, c
     result["reference"] = {{"corners", c.corners}, {"found", c.found}, {"median_px", nullptr}};
     if (c.median_px) result["reference"]["median_px"] = *c.median_px;
   }
-  if (!f.out.empty()) maps.push_back(MapsOf(frames, f, pose, std::move(report.map)));
+  if (!f.out.empty())
+    maps.push_back({"projector" + std::to_string(f.projector) + (pose >= 0 ? "_pose" + std::to_string(pose) : ""),
+                    std::move(report.map.column), std::move(report.map.row), CodedAxesOf(frames, f.projector, pose)});
   results.push_back(result);
   return Status::Ok();
 }

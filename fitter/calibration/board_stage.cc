@@ -47,18 +47,14 @@ Result<Image<uint16_t>> MeanOfLastCodes(const SessionFrames& frames, int project
 
 // A corner's place in a projector is a column and a row.
 Status RequireBothAxes(const SessionFrames& frames, int projector, int pose) {
-  bool captured[2] = {false, false};
-  for (const db::FrameRow& row : frames.rows()) {
-    const FrameRecord& r = row.record;
-    if (r.pattern.kind == PatternKind::kGray && r.projector == projector && r.pose == pose)
-      captured[r.pattern.axis == PatternAxis::kRows] = true;
-  }
-  if (captured[0] && captured[1]) return Status::Ok();
+  const CodedAxes coded = CodedAxesOf(frames, projector, pose);
+  if (coded.columns && coded.rows) return Status::Ok();
   const std::string name = "projector " + std::to_string(projector);
-  if (captured[0] == captured[1]) return Status::NotFound(name + " shows no codes; capture those of columns and rows");
-  return Status::NotFound(name + " has codes of " + (captured[0] ? "columns" : "rows") +
-                          " alone; boards need both axes: capture the codes of " + (captured[0] ? "rows" : "columns") +
-                          ", too");
+  if (!coded.columns && !coded.rows)
+    return Status::NotFound(name + " shows no codes; capture those of columns and rows");
+  return Status::NotFound(name + " has codes of " + (coded.columns ? "columns" : "rows") +
+                          " alone; boards need both axes: capture the codes of " +
+                          (coded.columns ? "rows" : "columns") + ", too");
 }
 
 Result<ProjectorPictures> PicturesOf(const SessionFrames& frames, int projector, int pose, int rows,
@@ -167,12 +163,13 @@ Status CheckSession(const SessionFrames& frames, const BoardStageOptions& option
 }
 
 // Oldest first, whatever order they are given in: of two attempts at a pose the younger counts.
-Result<std::vector<std::string>> ByTime(const std::string& store, const std::vector<std::string>& sessions) {
+Result<std::vector<std::string>> ByTime(const std::string& folder, const std::vector<std::string>& sessions) {
+  SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(folder, db::AccessMode::kReadOnly));
   std::map<std::pair<int64_t, size_t>, std::string> by_time;  // as given, of one time
   std::set<std::string> seen;
   for (const std::string& selector : sessions) {
-    SLX_ASSIGN_OR_RETURN(const auto frames, SessionFrames::Open(store, selector));
-    const SessionInfo& info = frames.info();
+    SLX_ASSIGN_OR_RETURN(const auto session, store.FindSession(selector));
+    const SessionInfo& info = session.info;
     if (!seen.insert(info.id).second) return Status::Usage("session " + info.id + " is given twice");
     by_time[{info.started_wall.ns, by_time.size()}] = info.id;
   }

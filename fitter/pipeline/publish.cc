@@ -114,8 +114,7 @@ Result<SkinFigure> SkinFigureOf(const SessionFrames& frames, const SkinMask& mas
   if (skin.empty()) return figure;
   Image<uint8_t> surface(mask.reason.width(), mask.reason.height(), 1);
   for (int y = 0; y < surface.height(); ++y)
-    for (int x = 0; x < surface.width(); ++x)
-      surface(x, y) = mask.reason(x, y) != static_cast<uint8_t>(SkinReason::kNoSurface);
+    for (int x = 0; x < surface.width(); ++x) surface(x, y) = mask.HasSurface(x, y);
   figure.truth = CompareMasks(skin, mask.skin, surface);
   return figure;
 }

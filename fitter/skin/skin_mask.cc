@@ -112,17 +112,13 @@ Image<float> EvidenceOf(const SkinLight& light, const SkinOptions& options, Skin
   return evidence;
 }
 
-bool HasSurface(const SkinMask& mask, int i, int j) {
-  return mask.reason(i, j) != static_cast<uint8_t>(SkinReason::kNoSurface);
-}
-
 // How much its neighbours on the surface, of eight, speak for skin: -1 .. 1.
 double MindOfNeighbours(const SkinMask& mask, const Image<float>& probability, int i, int j) {
   double sum = 0.0;
   int neighbours = 0;
   for (int y = std::max(j - 1, 0); y <= std::min(j + 1, probability.height() - 1); ++y)
     for (int x = std::max(i - 1, 0); x <= std::min(i + 1, probability.width() - 1); ++x) {
-      if ((x == i && y == j) || !HasSurface(mask, x, y)) continue;
+      if ((x == i && y == j) || !mask.HasSurface(x, y)) continue;
       sum += 2.0 * probability(x, y) - 1.0;
       ++neighbours;
     }
@@ -140,7 +136,7 @@ void Settle(const Image<float>& evidence, double coupling, SkinMask& mask) {
     ParallelFor(evidence.height(), 8, [&](int64_t begin, int64_t end) {
       for (int j = static_cast<int>(begin); j < end; ++j)
         for (int i = 0; i < evidence.width(); ++i)
-          if (HasSurface(mask, i, j))
+          if (mask.HasSurface(i, j))
             next(i, j) = logistic(evidence(i, j) + coupling * MindOfNeighbours(mask, probability, i, j));
     });
     float change = 0.0F;
@@ -155,7 +151,7 @@ void Settle(const Image<float>& evidence, double coupling, SkinMask& mask) {
 void Decide(SkinMask& mask) {
   for (int j = 0; j < mask.skin.height(); ++j)
     for (int i = 0; i < mask.skin.width(); ++i) {
-      if (!HasSurface(mask, i, j)) mask.probability(i, j) = std::nanf("");
+      if (!mask.HasSurface(i, j)) mask.probability(i, j) = std::nanf("");
       // Of no evidence, and neighbours without any: as where no light was separated.
       mask.skin(i, j) = mask.probability(i, j) >= 0.5F ? 1 : 0;
       mask.skin_quads += mask.skin(i, j);

@@ -40,6 +40,9 @@ struct SkinMask {
   int colour = 0;  // that told: in which most of the light went through
   SkinTrait log_reflectance{}, share{};
 
+  [[nodiscard]] bool HasSurface(int i, int j) const {
+    return reason(i, j) != static_cast<uint8_t>(SkinReason::kNoSurface);
+  }
   [[nodiscard]] int64_t surface_quads() const;
   [[nodiscard]] int64_t left_out() const { return surface_quads() - skin_quads; }
 };

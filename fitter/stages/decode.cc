@@ -177,6 +177,16 @@ CodeSize CodeSizeOf(const SessionFrames& frames) {
   return size;
 }
 
+CodedAxes CodedAxesOf(const SessionFrames& frames, int projector, int pose) {
+  CodedAxes axes;
+  for (const db::FrameRow& row : frames.rows()) {
+    const FrameRecord& r = row.record;
+    if (r.pattern.kind != PatternKind::kGray || r.projector != projector || r.pose != pose) continue;
+    (r.pattern.axis == PatternAxis::kRows ? axes.rows : axes.columns) = true;
+  }
+  return axes;
+}
+
 std::string UnreadSinusoids(const SessionFrames& frames, int projector, int pose) {
   if (frames.plan()) return {};
   std::string text;

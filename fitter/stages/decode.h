@@ -22,6 +22,12 @@ struct CodeSize {
 };
 [[nodiscard]] CodeSize CodeSizeOf(const SessionFrames& frames);
 
+struct CodedAxes {
+  bool columns = false, rows = false;
+};
+// Of which axes the projector's codes were captured, with and without inverses.
+[[nodiscard]] CodedAxes CodedAxesOf(const SessionFrames& frames, int projector, int pose);
+
 // kBitsAlone leaves out the sinusoids that were captured: what the codes say by themselves.
 enum class CodeReading { kWithSinusoids, kBitsAlone };
 

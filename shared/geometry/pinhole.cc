@@ -5,10 +5,10 @@
 #include <cmath>
 #include <string>
 
+#include "shared/image/image.h"
+
 namespace stratalux {
 namespace {
-
-constexpr int64_t kMostPixels = int64_t{1} << 28;  // as an image file may have
 
 // Brown 1966 as in OpenCV: normalised coordinates (x, y) -> distorted ones, with the Jacobian.
 Eigen::Vector2d Distort(const std::array<double, 5>& d, const Eigen::Vector2d& n, Eigen::Matrix2d* jacobian) {
@@ -49,9 +49,9 @@ Eigen::Vector3d Pinhole::Unproject(const Eigen::Vector2d& pixel) const {
 Status Pinhole::Validate() const {
   if (width <= 0 || height <= 0)
     return Status::Usage("size " + std::to_string(width) + "x" + std::to_string(height) + " must be positive");
-  if (int64_t{width} * height > kMostPixels)
+  if (static_cast<uint64_t>(width) * static_cast<uint64_t>(height) > kMostImagePixels)
     return Status::Usage("size " + std::to_string(width) + "x" + std::to_string(height) + " has more than " +
-                         std::to_string(kMostPixels) + " pixels");
+                         std::to_string(kMostImagePixels) + " pixels");
   if (!(fx > 0.0) || !(fy > 0.0) || !std::isfinite(fx) || !std::isfinite(fy))
     return Status::Usage("focal lengths " + std::to_string(fx) + ", " + std::to_string(fy) + " px must be positive");
   for (double v : distortion)

@@ -14,6 +14,9 @@
 
 namespace stratalux {
 
+// That a file may claim: a few megabytes can say a thousand times that, and no camera makes as many.
+inline constexpr uint64_t kMostImagePixels = uint64_t{1} << 28;
+
 // A window on somebody else's pixels. T may be const.
 template <typename T>
 class ImageView {

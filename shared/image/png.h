@@ -11,9 +11,6 @@
 
 namespace stratalux {
 
-// A file of a few megabytes can claim a thousand times that; no camera makes as many.
-inline constexpr uint64_t kMostImagePixels = uint64_t{1} << 28;
-
 // Gray (1 channel) or colour (3 channels), 8 or 16 bit; palettes are expanded, alpha is dropped. `bit_depth` (may be
 // null) receives 8 or 16. kNotFound: no such file; kUsage: not a PNG file; kIntegrity: damaged, truncated or of more
 // than kMostImagePixels.
