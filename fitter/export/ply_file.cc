@@ -78,7 +78,9 @@ Status WritePly(const std::filesystem::path& file, const PointCloud& cloud, cons
     if (skin) Append(bytes, cloud.skin[v]);
   }
   const std::string comment =
-      "comment cov_*: covariance of the position in mm^2; normal_sigma_rad: NaN where it is not known\n";
+      "comment cov_*: covariance of the position in mm^2; normal_sigma_rad: of the normal by light alone, not of nx ny "
+      "nz; NaN where "
+      "it is not known\n";
   return WriteBytes(file,
                     HeaderOf(origin, comment, cloud.positions_mm.size()) + Properties("float", {"normal_sigma_rad"}) +
                         Properties("float", {"cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz"}) +

@@ -23,8 +23,9 @@ constexpr int64_t kPixelsOfSearch = 512;
 // Enough for a hundredth.
 constexpr int64_t kPixels = 2048;
 constexpr int64_t kLeastPixels = 100;
-// Parts of the face that are taken to err independently, mm across.
-constexpr double kPart = 20.0;
+// Parts of the face that are taken to err independently, mm across; of what is smaller than a face a quarter of its
+// extent.
+constexpr double kPart = 20.0, kLeastPartsAcross = 4.0;
 
 // Pixels that at least two projectors light, every so many of the image's rows and columns.
 std::vector<int64_t> PixelsOf(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors, int width,
@@ -127,6 +128,14 @@ Result<Found> Search(const Trials& trials) {
   }
 }
 
+// Pixels across a part.
+int64_t PartOf(const std::vector<int64_t>& pixels, int width, double mm_per_pixel) {
+  const auto [left, right] = std::ranges::minmax(pixels, {}, [&](int64_t pixel) { return pixel % width; });
+  const auto extent =
+      static_cast<double>(std::max(right % width - left % width, (pixels.back() - pixels.front()) / width) + 1);
+  return static_cast<int64_t>(std::max(1.0, std::min(kPart / mm_per_pixel, extent / kLeastPartsAcross)));
+}
+
 // What pixels say about a depth: their cost is, but for a constant, slope d + bend d^2 / 2.
 struct Witness {
   double slope = 0.0, bend = 0.0;
@@ -155,7 +164,7 @@ Result<SurfaceOffset> EstimateOffset(std::span<const SrdBatch* const> lights, co
   SLX_ASSIGN_OR_RETURN(const auto here, trials.CostsAt(found.depth_mm));
   SLX_ASSIGN_OR_RETURN(const auto after, trials.CostsAt(found.depth_mm + kNear));
 
-  const auto part = static_cast<int64_t>(std::max(1.0, kPart / mm_per_pixel));
+  const int64_t part = PartOf(pixels, width, mm_per_pixel);
   std::map<std::pair<int64_t, int64_t>, Witness> parts;
   Witness all;
   SurfaceOffset offset;
@@ -169,7 +178,8 @@ Result<SurfaceOffset> EstimateOffset(std::span<const SrdBatch* const> lights, co
     }
     ++offset.pixels;
   }
-  if (offset.pixels < kLeastPixels || !(all.bend > 0.0) || parts.size() < 2) return SurfaceOffset{};
+  if (offset.pixels < kLeastPixels || parts.size() < 2) return SurfaceOffset{};
+  if (!(all.bend > 0.0)) return SurfaceOffset{.at_bound = true};
   const double further = std::clamp(-all.slope / all.bend, -kStep, kStep);
   double squares = 0.0;
   for (const auto& [place, says] : parts) squares += std::pow(says.slope + says.bend * further, 2);

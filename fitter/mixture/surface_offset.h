@@ -23,7 +23,7 @@ struct SurfaceOffset {
   double code_depth_mm = 0.0;  // below the true surface; one for the whole face and all colours
   double sigma_mm = 0.0;       // its standard error, from how far parts of the face disagree
   int64_t pixels = 0;          // that told; 0: too few are lit by two projectors, and the depth is 0
-  bool at_bound = false;       // no depth that is tried is best: it is 0
+  bool at_bound = false;       // no depth is best of those tried, or about the best one: it is 0
 };
 
 // `lights`: the training lights of a map `width` pixels wide of `channels` profiles each, `mm_per_pixel` apart.

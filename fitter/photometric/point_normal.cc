@@ -165,7 +165,7 @@ class PointSolver {
       for (size_t k = 0; k < 3; ++k) others[k] = sources_[k < s ? k : k + 1].direction;
       const double a = (s % 2 == 0 ? 1.0 : -1.0) * others[0].dot(others[1].cross(others[2]));
       violation += a * sources_[s].intensity;
-      variance += a * a * (sources_[s].variance + Square(options_.relative_sigma * brightest_));
+      variance += a * a * Variance(sources_[s]);
     }
     return Square(violation) <= Square(options_.dependence_sigmas) * variance;
   }

@@ -17,9 +17,9 @@ bool OnOneSurface(const SurfaceMap& surface, int i, int j, int k, int l) {
   const Eigen::Vector3d a = surface.Point(i, j), b = surface.Point(k, l);
   if (OnOneSurface(a, b, std::hypot(surface.depth_sigma_mm(i, j), surface.depth_sigma_mm(k, l)))) return true;
   const Eigen::Vector3d chord = b - a;
-  // False of NaN.
-  return std::max(std::abs(surface.Normal(i, j).dot(chord)), std::abs(surface.Normal(k, l).dot(chord))) <=
-         kMaxChordSine * chord.norm();
+  // False of NaN, whichever of them has it.
+  const double most = kMaxChordSine * chord.norm();
+  return std::abs(surface.Normal(i, j).dot(chord)) <= most && std::abs(surface.Normal(k, l).dot(chord)) <= most;
 }
 
 }  // namespace stratalux::fit

@@ -209,6 +209,7 @@ void SrdExtractor::FillMissingFrame() {
       double others = 0.0;
       for (int j = 0; j < samples; ++j) others += j == k ? 0.0 : y[j];
       y[k] = static_cast<float>(batch_.white[i] - others);
+      batch_.white_variance[i] = 0.0F;  // told already: the samples' sum is the white
     }
   });
 }

@@ -9,7 +9,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kNormalsVersion = 6;
+inline constexpr int kNormalsVersion = 7;
 
 struct FaceNormals {
   PhotometricMap photometric;

@@ -15,7 +15,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kSrdVersion = 10;
+inline constexpr int kSrdVersion = 11;
 
 // What became of one projector's sweep along one axis.
 struct SweepFigure {

@@ -33,6 +33,25 @@ SurfaceMap Rough(int width, int height) {
   return surface;
 }
 
+// Two points on a chord that one tangent plane holds and the other's normal is not known of.
+TEST(OneSurface, IsNotWhereOneNormalIsNotKnownEitherWayRound) {
+  SurfaceMap surface = Rough(2, 1);
+  const float points[2][3] = {{0.0F, 0.0F, 700.0F}, {1.0F, 0.0F, 720.0F}};
+  for (int i = 0; i < 2; ++i) {
+    surface.mask(i, 0) = 1;
+    surface.depth_sigma_mm(i, 0) = 0.1F;
+    const float along_chord[3] = {-0.99875F, 0.0F, 0.04994F};
+    for (int k = 0; k < 3; ++k) {
+      surface.point_mm(i, 0, k) = points[i][k];
+      surface.normal(i, 0, k) = along_chord[k];
+    }
+  }
+  EXPECT_TRUE(OnOneSurface(surface, 0, 0, 1, 0));
+  for (int k = 0; k < 3; ++k) surface.normal(1, 0, k) = std::nanf("");
+  EXPECT_FALSE(OnOneSurface(surface, 0, 0, 1, 0));
+  EXPECT_FALSE(OnOneSurface(surface, 1, 0, 0, 0));
+}
+
 TEST(SurfaceLinks, SayOfEachPairWhatTheRuleSaysEitherWayRound) {
   const SurfaceMap surface = Rough(37, 23);
   const SurfaceLinks links(surface);

@@ -32,8 +32,8 @@ struct Face {
     for (const SrdBatch& b : batches) list.push_back(&b);
     return list;
   }
-  [[nodiscard]] SurfaceOffset Estimate() const {
-    const auto offset = EstimateOffset(lights(), kProjectors, kFaceSide, 1, 5.0, kDisplacement, options);
+  [[nodiscard]] SurfaceOffset Estimate(double mm_per_pixel = 5.0) const {
+    const auto offset = EstimateOffset(lights(), kProjectors, kFaceSide, 1, mm_per_pixel, kDisplacement, options);
     EXPECT_TRUE(offset.ok()) << offset.status().message();
     return *offset;
   }
@@ -79,6 +79,16 @@ TEST(SurfaceOffset, IsFoundWhateverItIs) {
     EXPECT_NEAR(offset.code_depth_mm, depth, 4.0 * offset.sigma_mm + 0.006);
     EXPECT_LT(offset.sigma_mm, 0.04);
   }
+}
+
+// Of 12 mm: less than one of the parts that a face's error is told by.
+TEST(SurfaceOffset, IsFoundOfSomethingSmallToo) {
+  const Face sample = MakeFace(0.2, 2000.0, 51);
+  const SurfaceOffset offset = sample.Estimate(0.5);
+  EXPECT_EQ(offset.pixels, kFaceSide * kFaceSide);
+  EXPECT_NEAR(offset.code_depth_mm, 0.2, 0.04);
+  EXPECT_GT(offset.sigma_mm, 0.0);
+  EXPECT_LT(offset.sigma_mm, 0.04);
 }
 
 TEST(SurfaceOffset, SaysHowLittleFewPhotonsTell) {

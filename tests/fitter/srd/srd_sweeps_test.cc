@@ -217,6 +217,8 @@ TEST(SrdSweep, OneLostFrameIsMadeUpForByTheWhiteFrames) {
     EXPECT_NEAR(lost.batch.Samples(i)[9], whole.batch.Samples(i)[9], 6e-3) << "profile " << i;  // 64 roundings
     // Its noise is that of the others: the sample that was made up has no part in it.
     EXPECT_NEAR(lost.batch.VarianceOfSum(i) / whole.batch.VarianceOfSum(i), 1.0, 0.05);
+    EXPECT_GT(whole.batch.white_variance[i], 0.0F);
+    EXPECT_EQ(lost.batch.white_variance[i], 0.0F) << "the white is in the samples: no second witness of the total";
   }
 }
 
