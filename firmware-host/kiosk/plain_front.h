@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // PlainFront: the kiosk without a page. A line of JSON for each screen on one descriptor, a line of words for each
-// command from another (docs/kiosk.md, "Commands").
+// command from another (docs/kiosk.md, "Without a page").
 #pragma once
 
 #include <string>
