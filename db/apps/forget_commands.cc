@@ -173,7 +173,9 @@ int RunForget(const CommonFlags& common, ForgetFlags flags) {
   auto request = RequestFor(common, flags);
   if (!request.ok()) return Report(request.status());
   const bool nothing = request->sessions.empty() && request->visitors.empty() && request->leftovers.empty();
-  if (!flags.resume && nothing && UnfinishedForgets(common.store).empty()) {
+  const auto begun = UnfinishedForgets(common.store);
+  if (!begun.ok()) return Report(begun.status());
+  if (!flags.resume && nothing && begun->empty()) {
     std::fprintf(stderr,
                  "stratalux-db: session %s is forgotten already (`stratalux-db deletions` shows its certificate)\n",
                  flags.session.c_str());
@@ -326,7 +328,9 @@ int RunPurge(const CommonFlags& common, const ForgetFlags& flags) {
     request.sessions.push_back(session.id);
     reasons[session.id] = session.reason;
   }
-  if (request.sessions.empty() && request.leftovers.empty() && UnfinishedForgets(common.store).empty())
+  const auto begun = UnfinishedForgets(common.store);
+  if (!begun.ok()) return Report(begun.status());
+  if (request.sessions.empty() && request.leftovers.empty() && begun->empty())
     return Print(common.json ? TextOf(JsonOf({}, {}, flags)) : "no session is due\n");
   return Finish(common, flags, std::move(request), reasons);
 }

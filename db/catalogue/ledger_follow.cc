@@ -252,7 +252,8 @@ Status TakeOverTombstones(SessionIndex& index, const fs::path& store) {
 
 Status NoteTombstones(SessionIndex& expected, SessionIndex& index, const fs::path& store) {
   SLX_ASSIGN_OR_RETURN(const auto moments, MomentsOf(index, "SELECT session_id, deleted_wall_ns FROM deletions"));
-  for (OldTombstone& old : ReadOldTombstones(store)) {
+  SLX_ASSIGN_OR_RETURN(auto all, ReadOldTombstones(store));
+  for (OldTombstone& old : all) {
     const auto moment = moments.find(old.entry.sessions.at(0));
     if (moment == moments.end()) continue;
     old.entry.at = moment->second;

@@ -146,15 +146,17 @@ Status AddFolder(const fs::path& folder, LedgerReader& reader) {
 }
 
 // Forgettings of stores before the ledger, until the first opening that may write takes them over.
-void AddTombstones(const fs::path& store, LedgerReader& reader) {
-  for (OldTombstone& old : ReadOldTombstones(store)) reader.Bind(std::move(old.entry));
+Status AddTombstones(const fs::path& store, LedgerReader& reader) {
+  SLX_ASSIGN_OR_RETURN(auto all, ReadOldTombstones(store));
+  for (OldTombstone& old : all) reader.Bind(std::move(old.entry));
+  return Status::Ok();
 }
 
 }  // namespace
 
 Result<Ledger> Ledger::Read(const fs::path& store) {
   LedgerReader reader;
-  AddTombstones(store, reader);
+  SLX_RETURN_IF_ERROR(AddTombstones(store, reader));
   SLX_RETURN_IF_ERROR(AddFolder(LedgerFolder(store), reader));
   return std::move(reader).Finish();
 }

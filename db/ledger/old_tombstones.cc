@@ -9,6 +9,7 @@
 #include <nlohmann/json.hpp>
 
 #include "db/base/durable_file.h"
+#include "db/base/listing.h"
 #include "db/ledger/ledger_folder.h"
 #include "shared/base/json_nesting.h"
 #include "shared/base/read_file.h"
@@ -18,16 +19,6 @@ namespace {
 
 namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
-
-std::vector<fs::path> FilesIn(const fs::path& folder) {
-  std::vector<fs::path> files;
-  std::error_code error;
-  for (auto entry = fs::directory_iterator(folder, error); !error && entry != fs::directory_iterator();
-       entry.increment(error))
-    files.push_back(entry->path());
-  std::sort(files.begin(), files.end());
-  return files;
-}
 
 // A member of an object, where it has the type that is asked for.
 int64_t IntegerOf(const Json& json, const char* key) {
@@ -65,7 +56,8 @@ bool IsStray(const fs::path& file) { return file.extension() == ".new" || file.e
 // What was being written or wiped when the program of then was killed holds hashes and a pseudonym.
 Status EmptyFolder(const fs::path& store, const fs::path& folder) {
   std::error_code error;
-  for (const fs::path& file : FilesIn(folder)) {
+  SLX_ASSIGN_OR_RETURN(const auto files, EntriesOf(folder));
+  for (const fs::path& file : files) {
     const std::string extension = file.extension().string();
     if (extension == ".forgetting") {
       SLX_RETURN_IF_ERROR(MoveIntent(store, file));
@@ -80,16 +72,16 @@ Status EmptyFolder(const fs::path& store, const fs::path& folder) {
   return SyncFolder(store);
 }
 
-bool HasStrays(const fs::path& folder) {
-  const auto files = FilesIn(folder);
+Result<bool> HasStrays(const fs::path& folder) {
+  SLX_ASSIGN_OR_RETURN(const auto files, EntriesOf(folder));
   return std::any_of(files.begin(), files.end(), IsStray);
 }
 
 }  // namespace
 
-std::vector<OldTombstone> ReadOldTombstones(const fs::path& store) {
+Result<std::vector<OldTombstone>> ReadOldTombstones(const fs::path& store) {
   std::vector<OldTombstone> all;
-  const auto files = FilesIn(store / "deletions");
+  SLX_ASSIGN_OR_RETURN(const auto files, EntriesOf(store / "deletions"));
   for (const auto& [extension, kind] :
        {std::pair(".json", LedgerKind::kForgotten), std::pair(".forgetting", LedgerKind::kForgetting)})
     for (const fs::path& file : files)
@@ -101,14 +93,17 @@ Status TakeOverOldTombstones(const fs::path& store, const TombstoneMoments& mome
   const fs::path folder = store / "deletions";
   std::error_code error;
   if (!fs::is_directory(folder, error)) return Status::Ok();
-  if (ReadOldTombstones(store).empty() && !HasStrays(folder)) {
+  SLX_ASSIGN_OR_RETURN(const auto found, ReadOldTombstones(store));
+  SLX_ASSIGN_OR_RETURN(const bool strays, HasStrays(folder));
+  if (found.empty() && !strays) {
     fs::remove(folder, error);  // an empty one
     return Status::Ok();
   }
   SLX_ASSIGN_OR_RETURN(const auto lock, LockLedger(store));
   SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::ReadFolder(LedgerFolder(store)));
   std::vector<LedgerEntry> fresh;
-  for (OldTombstone& old : ReadOldTombstones(store)) {
+  SLX_ASSIGN_OR_RETURN(auto all, ReadOldTombstones(store));  // as they are under the lock
+  for (OldTombstone& old : all) {
     const auto known = ledger.forgotten().find(old.entry.sessions[0]);
     const bool certified = known != ledger.forgotten().end() && !known->second.empty();
     const bool begun = known != ledger.forgotten().end();

@@ -18,7 +18,8 @@ struct OldTombstone {
   std::filesystem::path file;
 };
 // Certificates by session id, then intents. A damaged one still keeps its session away: its name tells which.
-[[nodiscard]] std::vector<OldTombstone> ReadOldTombstones(const std::filesystem::path& store);
+// kFailed where the folder is there and cannot be listed.
+[[nodiscard]] Result<std::vector<OldTombstone>> ReadOldTombstones(const std::filesystem::path& store);
 
 // When a session was gone by its row in the index, which the program of then wrote a little after the certificate.
 using TombstoneMoments = std::map<std::string, WallNs>;

@@ -136,6 +136,6 @@ class ForgetProof {
 [[nodiscard]] Result<bool> HasReturned(const std::filesystem::path& store, const std::string& session_id);
 
 // Sessions whose forgetting was begun and not finished.
-[[nodiscard]] std::vector<std::string> UnfinishedForgets(const std::filesystem::path& store);
+[[nodiscard]] Result<std::vector<std::string>> UnfinishedForgets(const std::filesystem::path& store);
 
 }  // namespace stratalux::db

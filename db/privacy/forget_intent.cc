@@ -134,14 +134,6 @@ Result<ForgetIntent> IntentFrom(const Json& json) {
   return intent;
 }
 
-Result<std::vector<std::string>> IdsOfIntents(const fs::path& store) {
-  std::vector<std::string> ids;
-  SLX_ASSIGN_OR_RETURN(const std::vector<fs::path> files, EntriesOf(store / "ledger"));
-  for (const fs::path& file : files)
-    if (file.extension() == kIntent) ids.push_back(file.stem().string());
-  return ids;
-}
-
 }  // namespace
 
 ForgottenSession SessionOf(const ForgetIntent& intent) {
@@ -253,7 +245,7 @@ Status TidyIntents(const fs::path& store) {
 
 Result<std::vector<ForgetIntent>> ReadIntents(const fs::path& store, std::vector<std::string>& unread) {
   std::vector<ForgetIntent> intents;
-  SLX_ASSIGN_OR_RETURN(const std::vector<std::string> ids, IdsOfIntents(store));
+  SLX_ASSIGN_OR_RETURN(const std::vector<std::string> ids, UnfinishedForgets(store));
   for (const std::string& id : ids) {
     const fs::path file = IntentFile(store, id);
     const auto read = ReadFile(file);
@@ -278,9 +270,12 @@ Result<std::vector<ForgetIntent>> ReadIntents(const fs::path& store, std::vector
   return intents;
 }
 
-std::vector<std::string> UnfinishedForgets(const fs::path& store) {
-  const auto ids = IdsOfIntents(store);
-  return ids.ok() ? *ids : std::vector<std::string>();
+Result<std::vector<std::string>> UnfinishedForgets(const fs::path& store) {
+  std::vector<std::string> ids;
+  SLX_ASSIGN_OR_RETURN(const std::vector<fs::path> files, EntriesOf(store / "ledger"));
+  for (const fs::path& file : files)
+    if (file.extension() == kIntent) ids.push_back(file.stem().string());
+  return ids;
 }
 
 }  // namespace stratalux::db

@@ -183,7 +183,8 @@ Status BackupRun::CopyTombstones(BackupFolder& folder) {
   }
   for (const std::string& problem : merged.ok() ? merged->problems : std::vector<std::string>())
     report_.problems.push_back("ledger: " + problem);
-  for (const OldTombstone& old : ReadOldTombstones(store_))
+  SLX_ASSIGN_OR_RETURN(const auto tombstones, ReadOldTombstones(store_));
+  for (const OldTombstone& old : tombstones)
     if (old.entry.kind == LedgerKind::kForgotten)
       SLX_RETURN_IF_ERROR(folder.CopyFile(old.file.lexically_relative(store_).string()));
   return Status::Ok();

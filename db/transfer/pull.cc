@@ -134,7 +134,8 @@ Status Puller::Obey() {
     return Status::Ok();
   }
   // A forgetting that was broken off, by an obeying pull perhaps, is no longer among what is here.
-  if (still_here.empty() && UnfinishedForgets(store_).empty()) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(const auto begun, UnfinishedForgets(store_));
+  if (still_here.empty() && begun.empty()) return Status::Ok();
   ForgetRequest request;
   request.sessions = still_here;
   SLX_ASSIGN_OR_RETURN(const ForgetReport gone, Forget(store_, request, logger_));

@@ -95,13 +95,14 @@ Status VisitForgetting::TryUnkept() {
     if (const Status kept = Keep(visit.visit); !kept.ok()) logger_.Error(kept.message());
     return true;
   });
-  if (visits.empty() && db::UnfinishedForgets(store_).empty()) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(const auto begun, db::UnfinishedForgets(store_));
+  if (visits.empty() && begun.empty()) return Status::Ok();
   Result<db::ForgetRequest> request = RequestFor(store_, VisitorsOf(visits));
   // No capture came as far as making one.
   if (request.status().code() == StatusCode::kNotFound) return CloseAll(store_, visits);
   if (!request.ok()) return request.status();
   for (const std::string& session : request->sessions) logger_.Info("session " + session + " has no ticket: forgotten");
-  if (request->visitors.empty() && db::UnfinishedForgets(store_).empty()) return CloseAll(store_, visits);
+  if (request->visitors.empty() && begun.empty()) return CloseAll(store_, visits);
   request->after_step = after_step_;
   SLX_ASSIGN_OR_RETURN(db::ForgetProof proof, db::BeginForget(store_, *request));
   // Before the search, which would find them.

@@ -390,7 +390,7 @@ TEST_F(SchemaFourTest, IsSoundAsAWholeBeforeItsLedgerIsMadeAndAfter) {
     EXPECT_THAT(report->problems, ::testing::IsEmpty());
     EXPECT_THAT(report->notes, ::testing::IsEmpty());
     made |= mode == AccessMode::kReadWrite;
-    EXPECT_EQ(ReadOldTombstones(store_).empty(), made);
+    EXPECT_EQ(ReadOldTombstones(store_)->empty(), made);
   }
 }
 

@@ -73,5 +73,17 @@ TEST_F(OldTombstonesTest, AFileOfSomebodyElseStays) {
   EXPECT_TRUE(fs::exists(store_ / "deletions" / "letter.txt"));
 }
 
+// Nobody knows whom it forgot: as a chain that cannot be read.
+TEST_F(OldTombstonesTest, AFolderThatCannotBeListedFailsWhoeverAsks) {
+  fs::rename(store_ / "deletions", store_ / "aside");
+  WriteText(store_ / "deletions", "no folder, which not even root can list");
+  const auto ledger = Ledger::Read(store_);
+  EXPECT_EQ(ledger.status().code(), StatusCode::kFailed);
+  EXPECT_THAT(ledger.status().message(), ::testing::HasSubstr("cannot list " + (store_ / "deletions").string()));
+  fs::remove(store_ / "deletions");
+  fs::rename(store_ / "aside", store_ / "deletions");
+  ExpectBinding(ReadOf(store_));
+}
+
 }  // namespace
 }  // namespace stratalux::db

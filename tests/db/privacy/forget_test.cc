@@ -127,7 +127,7 @@ TEST_F(ForgetTest, FinishesWhateverThePointAtWhichItStopped) {
     ASSERT_TRUE(again.ok()) << again.status().message();
     EXPECT_THAT(again->leftovers, IsEmpty());
     ExpectGone(traces, kVisitor);
-    EXPECT_THAT(UnfinishedForgets(folder_), IsEmpty());
+    EXPECT_THAT(*UnfinishedForgets(folder_), IsEmpty());
     ASSERT_FALSE(::testing::Test::HasFailure());
   }
   ExpectUnharmed(other, 99);
@@ -209,7 +209,7 @@ TEST_F(ForgetTest, NamesWhatItCouldNotRemoveUntilItIsGone) {
   EXPECT_THAT(report->leftovers, ::testing::ElementsAre("notes.txt, offset 13: session id"));
   EXPECT_TRUE(*IsForgotten(folder_, id));
   EXPECT_EQ(CertificateOf(id)["verification"]["clean"], false);
-  EXPECT_THAT(UnfinishedForgets(folder_), ::testing::ElementsAre(id));
+  EXPECT_THAT(*UnfinishedForgets(folder_), ::testing::ElementsAre(id));
   fs::remove(folder_ / "notes.txt");
   EXPECT_THAT(ForgetNow({})->leftovers, IsEmpty());
   EXPECT_EQ(CertificateOf(id)["verification"]["clean"], true);
@@ -227,7 +227,7 @@ TEST_F(ForgetTest, AnExportThatCannotBeDeletedKeepsNoFrameAlive) {
   ASSERT_EQ(report->leftovers.size(), 1U);
   EXPECT_THAT(report->leftovers[0], HasSubstr((exports_ / id).string()));
   EXPECT_FALSE(fs::exists(folder_ / "sessions" / id));
-  EXPECT_THAT(UnfinishedForgets(folder_), ::testing::ElementsAre(id));
+  EXPECT_THAT(*UnfinishedForgets(folder_), ::testing::ElementsAre(id));
   WriteText(ExportMarker(exports_ / id, id), marker);
   EXPECT_THAT(ForgetNow({})->leftovers, IsEmpty());
   EXPECT_FALSE(fs::exists(exports_ / id));
@@ -473,7 +473,7 @@ TEST_F(ForgetTest, ACaptureBeginsWhileTheScanReads) {
     next = writer->info().id;
   }
   EXPECT_EQ(CertificateOf(id)["verification"]["clean"], true);
-  EXPECT_THAT(UnfinishedForgets(folder_), IsEmpty());
+  EXPECT_THAT(*UnfinishedForgets(folder_), IsEmpty());
   {  // what SQLite's log still holds of the certificate goes into the index
     auto connection = Connection::Open(folder_ / "index.sqlite", Connection::Mode::kReadWrite);
     ASSERT_EQ(*connection->QueryInteger("PRAGMA wal_checkpoint(TRUNCATE)"), 0);

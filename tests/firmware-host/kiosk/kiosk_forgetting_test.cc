@@ -81,7 +81,7 @@ class KioskForgetting : public KioskTest {
     const auto certificates = Certificates();
     EXPECT_THAT(certificates, SizeIs(sessions));
     for (const auto& [session, certificate] : certificates) EXPECT_NE(certificate, "") << session;
-    EXPECT_THAT(db::UnfinishedForgets(folder_ / "store"), IsEmpty());
+    EXPECT_THAT(*db::UnfinishedForgets(folder_ / "store"), IsEmpty());
     EXPECT_THAT(*db::OpenVisits(folder_ / "store"), IsEmpty());
   }
 };
@@ -118,7 +118,7 @@ TEST_F(KioskForgetting, KilledBetweenTheHalvesItIsSearchedAndCertifiedAtTheNextS
     };
   });
   EXPECT_THAT(Sessions(), IsEmpty());
-  ASSERT_THAT(db::UnfinishedForgets(folder_ / "store"), SizeIs(1));
+  ASSERT_THAT(*db::UnfinishedForgets(folder_ / "store"), SizeIs(1));
   EXPECT_EQ(Certificates().begin()->second, "");
   RunUntilCertified();
   ExpectProven(1);
@@ -132,7 +132,7 @@ TEST_F(KioskForgetting, ASearchThatTheEndBrokeOffIsMadeAtTheNextStart) {
     std::filesystem::resize_file(large, int64_t{1} << 40);  // read for many minutes
   };
   Run({Manner::kLeavesCapture});
-  EXPECT_THAT(db::UnfinishedForgets(folder_ / "store"), SizeIs(1));
+  EXPECT_THAT(*db::UnfinishedForgets(folder_ / "store"), SizeIs(1));
   std::filesystem::remove(large);
   station_.reset();
   RunUntilCertified();
@@ -143,7 +143,7 @@ TEST_F(KioskForgetting, ASearchThatFindsSomethingTellsAndClosesNothing) {
   const std::filesystem::path note = folder_ / "store" / "notes.txt";
   options_.after_forget_step = [&](db::ForgetStep step) {
     if (step == db::ForgetStep::kRemoved)
-      std::ofstream(note) << "nice face in " << db::UnfinishedForgets(folder_ / "store").at(0) << "\n";
+      std::ofstream(note) << "nice face in " << db::UnfinishedForgets(folder_ / "store")->at(0) << "\n";
   };
   options_.after_step = [&](const VisitState& state, const VisitEvent& event) {
     if (!std::holds_alternative<event::Leftover>(event)) return;
