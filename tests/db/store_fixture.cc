@@ -3,7 +3,8 @@
 
 #include <cstdlib>
 #include <fstream>
-#include <iterator>
+
+#include "tests/support/text_file.h"
 
 namespace stratalux::db {
 
@@ -102,9 +103,10 @@ Status AppendTo(SessionWriter& writer, int step) {
 }
 
 std::vector<uint8_t> ReadBytes(const std::filesystem::path& file) {
-  std::ifstream in(file, std::ios::binary);
-  EXPECT_TRUE(in.good()) << file;
-  return {std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
+  EXPECT_TRUE(std::filesystem::exists(file)) << file;
+  const std::string text = ReadText(file);
+  const auto* bytes = reinterpret_cast<const uint8_t*>(text.data());
+  return {bytes, bytes + text.size()};
 }
 
 void WriteBytes(const std::filesystem::path& file, const std::vector<uint8_t>& bytes) {

@@ -2,16 +2,14 @@
 #include "firmware-host/simulated/skin/packed_table.h"
 
 #include <array>
-#include <cerrno>
 #include <cstring>
-#include <fstream>
-#include <iterator>
 
 #include <xxhash.h>
 #include <zstd.h>
 
 #include "db/base/durable_file.h"
 #include "firmware-host/simulated/skin/skin_table.h"
+#include "shared/base/read_file.h"
 
 namespace stratalux::rig {
 namespace {
@@ -71,9 +69,10 @@ Status OfAnotherGrid(const std::string& path, const PackedTableKind& kind) {
 
 Result<PackedTable> ReadPackedTable(const std::string& path, const PackedTableKind& kind) {
   const std::string table_of = std::string(kind.name) + " " + path, what = table_of + ": ";
-  std::ifstream in(path, std::ios::binary);
-  if (!in) return Status::NotFound(what + std::strerror(errno) + Remedy(kind));
-  const std::vector<char> bytes((std::istreambuf_iterator<char>(in)), std::istreambuf_iterator<char>());
+  const auto read = ReadFile(path, kMostPictureBytes);
+  if (read.status().code() == StatusCode::kNotFound) return Status::NotFound(read.status().message() + Remedy(kind));
+  SLX_RETURN_IF_ERROR(read.status().WithContext(table_of));
+  const std::string& bytes = *read;
   if (bytes.size() < kMagicBytes || std::string_view(bytes.data(), kMagicBytes - 1) != kind.magic)
     return Damaged(path, kind, "not a " + std::string(kind.name));
   const char version = bytes[kMagicBytes - 1];

@@ -17,6 +17,7 @@
 #include <unistd.h>
 
 #include "tests/db/crash/disk_hooks.h"
+#include "tests/support/text_file.h"
 
 namespace stratalux::db::crash {
 namespace {
@@ -101,8 +102,7 @@ void Discover(const std::string& path) {
     for (const std::string& name : inside) Discover(name);
     return;
   }
-  std::ifstream in(file, std::ios::binary);
-  const std::vector<char> bytes{std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
+  const std::string bytes = ReadText(file);
   if (!bytes.empty()) Note(Kind::kWrite, recording->names[path], 0, bytes.data(), bytes.size());
 }
 
@@ -186,8 +186,8 @@ DiskImage ReadImage(const fs::path& folder) {
       image[name + "/"] = {};
       continue;
     }
-    std::ifstream in(entry.path(), std::ios::binary);
-    image[name] = {std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
+    const std::string bytes = ReadText(entry.path());
+    image[name] = {bytes.begin(), bytes.end()};
   }
   return image;
 }

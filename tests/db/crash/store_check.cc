@@ -9,6 +9,7 @@
 #include "db/care/verify.h"
 #include "db/catalogue/fit_reader.h"
 #include "tests/db/crash/disk_recorder.h"
+#include "tests/support/text_file.h"
 
 namespace stratalux::db::crash {
 namespace {
@@ -123,9 +124,7 @@ class Checker {
     for (const char* name : {"position.exr", "report/index.html"}) {
       const auto file = reader->Read(name);
       if (!Ok("file of the fit", file.status())) continue;
-      std::ifstream in(file->path, std::ios::binary);
-      const std::string text{std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
-      Expect(text == kFitText, s.id + ": " + name + " of the registered fit is not whole");
+      Expect(ReadText(file->path) == kFitText, s.id + ": " + name + " of the registered fit is not whole");
     }
   }
 

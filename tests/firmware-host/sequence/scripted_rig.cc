@@ -2,6 +2,7 @@
 #include "tests/firmware-host/sequence/scripted_rig.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <utility>
 
@@ -234,6 +235,10 @@ Image<uint16_t> ScriptedRig::Expose() const {
   for (const auto& [trigger, pixels] : jumps)
     if (camera_triggers > trigger) moved += pixels;
   const double lamp = 1.0 + lamp_drift * static_cast<double>(camera_triggers);
+  std::array<double, kCameraWidth> across{};
+  std::array<double, kCameraHeight> down{};
+  for (int x = 0; x < kCameraWidth; ++x) across[x] = std::sin(0.05 * (x - moved));
+  for (int y = 0; y < kCameraHeight; ++y) down[y] = std::cos(0.07 * y);
   for (const auto& [p, pattern] : Shown()) {
     Image<float> picture = pattern.Render(width_, height_);
     if (inverted)
@@ -249,7 +254,7 @@ Image<uint16_t> ScriptedRig::Expose() const {
         for (int dy = -1; dy <= 1; ++dy)
           for (int dx = -1; dx <= 1; ++dx)
             near += picture(std::clamp(column + dx, 0, width_ - 1), std::clamp(row + dy, 0, height_ - 1)) / 9.0;
-        const double albedo = 0.6 + 0.3 * std::sin(0.05 * (x - moved)) * std::cos(0.07 * y);
+        const double albedo = 0.6 + 0.3 * across[x] * down[y];
         sum(x, y) += static_cast<float>(lamp * kWhiteDn * albedo * (0.6 * near + 0.4 * mean));
       }
   }

@@ -17,6 +17,7 @@
 #include "firmware-host/simulated/skin/subcutis_table.h"
 #include "tests/firmware-host/simulated/flat_world.h"
 #include "tests/support/scratch_folder.h"
+#include "tests/support/text_file.h"
 
 namespace stratalux::rig {
 namespace {
@@ -45,10 +46,6 @@ class LightCacheTest : public ScratchFolderTest {
     key.Add(number);
     return key.Digest();
   }
-  static std::string Bytes(const fs::path& file) {
-    std::ifstream in(file, std::ios::binary);
-    return {std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
-  }
   static void Write(const fs::path& file, const std::string& bytes) {
     std::ofstream(file, std::ios::binary | std::ios::trunc) << bytes;
   }
@@ -72,7 +69,7 @@ TEST_F(LightCacheTest, DamagedEntriesAreRefusedAndNamed) {
   LightCache cache(folder_, 1 << 20, logger_);
   cache.Keep(KeyOf(1), values_);
   const fs::path file = Files().at(0);
-  const std::string sound = Bytes(file);
+  const std::string sound = ReadText(file);
   ASSERT_EQ(sound.size(), 48 + 4 * values_.size());
   for (size_t k = 0; k < sound.size(); ++k) {
     std::string flipped = sound;

@@ -22,6 +22,7 @@
 #include "tests/firmware-host/simulated/skin/shipped_table.h"
 #include "tests/support/run_program.h"
 #include "tests/support/scratch_folder.h"
+#include "tests/support/text_file.h"
 
 namespace stratalux::rig {
 namespace {
@@ -357,12 +358,15 @@ TEST(InterpolationCheck, SeesATableThatIsWrong) {
 class SkinTableFile : public ::testing::Test {
  protected:
   void SetUp() override {
-    std::ifstream in(SkinTable::DefaultPath(), std::ios::binary);
-    bytes_.assign(std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>());
+    bytes_ = Read(SkinTable::DefaultPath());
     ASSERT_GT(bytes_.size(), 1000U);
     path_ = ::testing::TempDir() + "skin_table_" + ::testing::UnitTest::GetInstance()->current_test_info()->name();
   }
   void TearDown() override { std::filesystem::remove(path_); }
+  static std::vector<char> Read(const std::string& file) {
+    const std::string text = ReadText(file);
+    return {text.begin(), text.end()};
+  }
   Status LoadBytes() {
     std::ofstream(path_, std::ios::binary).write(bytes_.data(), static_cast<std::streamsize>(bytes_.size()));
     const auto table = SkinTable::Load(path_);
@@ -530,8 +534,7 @@ TEST_F(SkinTableFile, OneWithScatteringsIsSavedAndLoaded) {
   ASSERT_TRUE(again.ok()) << again.status().message();
   EXPECT_EQ(again->scatterings(), WithScatterings().scatterings());
   EXPECT_TRUE(std::equal(again->codes().begin(), again->codes().end(), WithScatterings().codes().begin()));
-  std::ifstream in(path_, std::ios::binary);
-  const std::vector<char> whole((std::istreambuf_iterator<char>(in)), std::istreambuf_iterator<char>());
+  const std::vector<char> whole = Read(path_);
   // The axis is held by the hash, and each field of the header by the file's length.
   for (const size_t at : {size_t{8}, size_t{16}, size_t{24}, size_t{32}, size_t{40}, size_t{48}, size_t{56}}) {
     bytes_ = whole;

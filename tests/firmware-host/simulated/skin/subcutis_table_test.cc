@@ -18,6 +18,7 @@
 #include "tests/firmware-host/simulated/skin/shipped_table.h"
 #include "tests/support/run_program.h"
 #include "tests/support/scratch_folder.h"
+#include "tests/support/text_file.h"
 
 namespace stratalux::rig {
 namespace {
@@ -287,10 +288,7 @@ TEST(GenerateSubcutisTable, FollowsFromSeedAndPhotonsAlone) {
 
 class SubcutisFile : public ScratchFolderTest {
  protected:
-  static std::string Whole() {
-    std::ifstream in(SubcutisTable::DefaultPath(), std::ios::binary);
-    return {std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
-  }
+  static std::string Whole() { return ReadText(SubcutisTable::DefaultPath()); }
   Status LoadOf(const std::string& bytes) {
     std::ofstream(file_, std::ios::binary) << bytes;
     const auto table = SubcutisTable::Load(file_);
@@ -357,11 +355,7 @@ TEST_F(SubcutisFile, TheToolMakesAndChecksIt) {
   const std::string run = "generate --subcutis --scattering 0.5 0.74 --photons 2000 --seed 9 --out ";
   ASSERT_EQ(tool(run + file_ + " --threads 1").code, 0);
   ASSERT_EQ(tool(run + file_ + "2 --threads 3").code, 0);
-  const auto bytes = [](const std::string& file) {
-    std::ifstream in(file, std::ios::binary);
-    return std::string(std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>());
-  };
-  EXPECT_EQ(bytes(file_), bytes(file_ + "2"));
+  EXPECT_EQ(ReadText(file_), ReadText(file_ + "2"));
   const Outcome own = tool("check " + file_ + " --subcutis --photons 1000 --seed 9");
   EXPECT_EQ(own.code, 2);
   EXPECT_THAT(own.out, HasSubstr("take another"));
