@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Normals that light which scattered follows, by what the simulated skin does: the very surface's, averaged by where
+// Normals that light which scattered follows, by what the simulated skin does: the surface's own, averaged by where
 // the light that leaves a point came in.
 #pragma once
 

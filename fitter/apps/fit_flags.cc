@@ -43,7 +43,7 @@ std::vector<CLI::Option*> AddFitOptions(CLI::App& verb, FitFlags& f) {
       ->check(CLI::IsMember({"on", "off"}))
       ->capture_default_str();
   verb.add_option("--surface", f.surface,
-                  "Light reflected by the very surface. model: facets of one roughness and strength, found on the "
+                  "Light reflected by the surface itself. model: facets of one roughness and strength, found on the "
                   "training lights; free: of each light its own, near 5 %")
       ->check(CLI::IsMember({"model", "free"}))
       ->capture_default_str();

@@ -28,7 +28,7 @@ constexpr std::array<PatternAxis, 2> kAxes = {PatternAxis::kColumns, PatternAxis
 // single site counts, also for the two greens.
 struct LitQuad {
   std::array<SrdGeometry, 2> axes;  // columns, rows
-  std::array<double, 2> surface{};  // contrast of the very surface under the sinusoids of that axis
+  std::array<double, 2> surface{};  // contrast of the surface itself under the sinusoids of that axis
 };
 
 SrdGeometry GeometryOf(const HeldOutLight& light, const SurfaceMap& surface, int i, int j, int channel,
@@ -52,7 +52,7 @@ std::optional<LitQuad> LookAt(const HeldOutLight& light, const SurfaceMap& surfa
   return quad;
 }
 
-// What a profile's layers add to the amplitude of the sinusoids, seen with the contrast of the very surface, beyond
+// What a profile's layers add to the amplitude of the sinusoids, seen with the contrast of the surface itself, beyond
 // what the surface of `reflectance` shows by itself: |R + sum w exp(-2 pi^2 sigma^2 / period^2 + 2 pi i d s / period)|
 // - R, as a share of the irradiance; both axes together. A layer of depth d is displaced by d s and out of the
 // surface's phase.

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What the held-out light's own sinusoids call direct, and what of a model's light they would.
 //
-// The separated direct image holds the very surface's light and what of the layers' the sinusoids' period still
+// The separated direct image holds the surface's own light and what of the layers' the sinusoids' period still
 // resolves (docs/math/evaluation.md). It is measured, and depends on no model. A model's share of it follows from its
 // layers; so
 //   total = direct image under the pattern + (the model's subsurface light - its share of the direct image)
@@ -27,7 +27,7 @@ struct HeldOutLight {
   return {view.separation_rig, view.projector, view.exposure_ms, view.separation_period};
 }
 
-// As a reflectance of the very surface, W x H x C on quads; NaN where unknown, and where the projector does not reach
+// As a reflectance of the surface itself, W x H x C on quads; NaN where unknown, and where the projector does not reach
 // it
 // (`lit`). Noise of the direct image is shrunk towards the neighbours; a quad whose sinusoids tell nothing (saturated,
 // negative) has their mean.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Two normals of each quad against a simulation's: of the very surface, by which it mirrors, and of light that
+// Two normals of each quad against a simulation's: of the surface itself, by which it mirrors, and of light that
 // scattered (docs/math/photometric.md, "Two normals"). On quads of skin that both know.
 #pragma once
 

@@ -21,7 +21,7 @@ struct Prediction {
   // By light: digital numbers above black, 0 outside the surface, NaN where that colour was not fitted.
   std::map<std::string, Image<float>> subsurface;
   // Of any light's irradiance on the surface that it was predicted on; NaN where nothing was fitted.
-  Image<float> reflectance;   // by the fit's own reflection of the very surface
+  Image<float> reflectance;   // by the fit's own reflection of the surface itself
   Image<float> direct_share;  // of `subsurface`, what separation would call direct (direct_light.h)
   // By light (HeldOutView), where that is another surface than the one that is judged; empty: it is that one.
   std::map<std::string, Image<float>> own_irradiance;

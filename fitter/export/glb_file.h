@@ -25,7 +25,7 @@ struct GlbMaterial {
   double roughness = 1.0;                 // glTF's, the square root of GGX's alpha
   ImageView<const uint8_t> normals = {};  // RGB of NormalTexture, over texture_uv; empty: none
   // A clear coat (KHR_materials_clearcoat) by normals of its own, on a base that then does not mirror
-  // (KHR_materials_specular): light that scattered follows `normals`, light of the very surface those of the coat.
+  // (KHR_materials_specular): light that scattered follows `normals`, light of the surface itself those of the coat.
   struct Coat {
     double strength = 1.0;  // of a bare surface of index 1.5, glTF's coat; 1 at most
     ImageView<const uint8_t> normals = {};

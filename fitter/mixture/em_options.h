@@ -28,8 +28,8 @@ struct EmOptions {
   int layers = 20;  // [M]'s choice
   ScatteringModel scattering;
   bool direction_blind = false;  // every depth stays 0: the baseline
-  // Light reflected at the very surface. Where scattering.reflection is known its term is held; where not, it starts at
-  // 5 % of the light, near which EM leaves it.
+  // Light reflected at the surface itself. Where scattering.reflection is known its term is held; where not, it starts
+  // at 5 % of the light, near which EM leaves it.
   bool surface_term = true;
   // A uniform floor beside the layers. A comb's cycle does not tell it from the widest layers: where there is none (the
   // black frame takes the ambient light) EM gives it 1 to 2 % of the light, which no renderer puts back.

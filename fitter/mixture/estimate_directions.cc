@@ -29,7 +29,7 @@ double Photons(std::span<const SrdBatch* const> lights, int64_t profile) {
   return photons;
 }
 
-// What of a light comes back from beyond the reach of the very surface's reflection.
+// What of a light comes back from beyond the reach of the surface's own reflection.
 struct Scattered {
   double light = 0.0;
   double fresnel = 1.0, path = 0.0;  // the gain is fresnel exp(-tau path)
@@ -57,7 +57,7 @@ std::optional<Scattered> ScatteredLight(const SrdBatch& batch, int64_t i, double
 }
 
 // tau of the light that spread: least squares of log(sum of light_p / F_p) = a - tau path_p, one a for each run of
-// neighbouring pixels, whose sum is quiet. Light reflected at the very surface, which is brightest near normal
+// neighbouring pixels, whose sum is quiet. Light reflected at the surface itself, which is brightest near normal
 // incidence, has no part in it.
 double TauOfScatteredLight(std::span<const SrdBatch* const> lights, int channels, double eta, double otherwise) {
   constexpr int kRun = 32, kAtLeast = 8;  // pixels

@@ -18,7 +18,7 @@ struct DirectionEstimate {
   double divergence = 0.0, divergence_without = 0.0;
 };
 
-// tau from the light that spread beyond the reach of the very surface's reflection (options.tau where that reflection
+// tau from the light that spread beyond the reach of the surface's own reflection (options.tau where that reflection
 // is known: it has no part in it already); then coordinate descent of the training divergence over kappa, phase slope
 // and sigma_0 (directional_weights.h), each tried a step up and a step down from where it stands, steps halved as they
 // cease to help. Every trial fits one pixel in `every` anew. `options.tau` is kept where no pixel is seen by all

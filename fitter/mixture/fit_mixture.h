@@ -82,7 +82,7 @@ Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights
 // another what the surface's form says, where the map has one, else the mean.
 [[nodiscard]] UnlayeredLight UnlayeredOf(const MixtureMap& map, int64_t profile, int projector, const SrdBatch& batch,
                                          int64_t at);
-// All that a fit says of it: with light of the very surface, B(u) of it, which no angular gain and no directional
+// All that a fit says of it: with light of the surface itself, B(u) of it, which no angular gain and no directional
 // weight is on, and with the floor.
 [[nodiscard]] std::vector<double> PredictSamples(const LayerSet& layers, const UnlayeredLight& beside,
                                                  const SrdBatch& batch, int64_t profile, const ScatteringModel& model,

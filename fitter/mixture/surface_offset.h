@@ -2,7 +2,7 @@
 // At which depth below the skin its codes are seen, told by the SRDs of the training lights (docs/math/offset.md).
 // Scattering displaces the codes of all projectors alike, and with them the surface that is triangulated. A displaced
 // surface moves the whole SRD of a light by the displacement times (tan theta_i - tan theta_o), in air; the layers'
-// depths move what scattered alone, by refracted angles, and the light of the very surface stays where the lines are.
+// depths move what scattered alone, by refracted angles, and the light of the surface itself stays where the lines are.
 #pragma once
 
 #include <span>

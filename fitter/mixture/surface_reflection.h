@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Light reflected by the very surface of the skin (beyond [M]). Its share of the narrow light is not told by the SRDs
+// Light reflected by the surface itself of the skin (beyond [M]). Its share of the narrow light is not told by the SRDs
 // of one pixel (model section 7), but it is colourless and follows the directions of lamp and eye in a way that light
 // from the layers does not: the training lights of a whole session tell it.
 //

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Normals that light which scattered follows: those of the very surface, filtered by how far light spreads
+// Normals that light which scattered follows: those of the surface itself, filtered by how far light spreads
 // (docs/math/photometric.md, "Two normals"; after Ma et al. 2007, who measured them by polarised light).
 #pragma once
 
@@ -23,8 +23,8 @@ using EnclosedLight = std::function<bool(int i, int j, int colour, double blurre
 // over quads y that do not face away from x, A(y) their areas and rho the density of `light` around x, less the blur of
 // the surface's own normals, averaged over rings as wide as x itself; as far as 99 % of it (most of the rest hardly has
 // a direction), 32 sides of a quad at most. What lies further along n(x) than that is another part of the face.
-// `normal`: W x H x 3, unit, of the very surface; where nothing scatters it stays. W x H x 3C, x y z of each colour in
-// turn; NaN where the surface or `normal` is not known. kUsage: sizes differ. Same input, same bits, whatever the
+// `normal`: W x H x 3, unit, of the surface itself; where nothing scatters it stays. W x H x 3C, x y z of each colour
+// in turn; NaN where the surface or `normal` is not known. kUsage: sizes differ. Same input, same bits, whatever the
 // number of threads; `light` is called by several.
 [[nodiscard]] Result<Image<float>> DiffuseNormals(const SurfaceMap& surface, const Image<float>& normal, int colours,
                                                   const EnclosedLight& light, const CameraCalibration& camera);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Light reflected by the very surface: a reflectance times the irradiance of a light's pattern.
+// Light reflected by the surface itself: a reflectance times the irradiance of a light's pattern.
 #pragma once
 
 #include <cstdint>
@@ -11,7 +11,7 @@
 
 namespace stratalux::fit {
 
-// Reflectance of the very surface of every quad under `light`, W x H x C: of the fit's surface reflection, or, where
+// Reflectance of the surface itself of every quad under `light`, W x H x C: of the fit's surface reflection, or, where
 // the fit has none, the mean of its training lights'. NaN where nothing was fitted.
 [[nodiscard]] Image<float> SurfaceReflectance(const MixtureMap& map, const SurfaceMap& surface,
                                               const ProjectorCalibration& light, int pool);

@@ -65,7 +65,8 @@ ReportSection Shape(const ReportInput& in) {
   ReportSection section{
       "Shape",
       "Depth from all projectors together; normals of the surface, of photometric stereo, and two for rendering: the "
-      "specular normal, the surface's with photometric detail, by which the very surface mirrors, and the diffuse one, "
+      "specular normal, the surface's with photometric detail, by which the surface itself mirrors, and the diffuse "
+      "one, "
       "filtered by how far the layers spread light, which light that scattered follows.",
       {},
       {},

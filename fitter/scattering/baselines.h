@@ -27,7 +27,7 @@ struct Dipole {
 };
 
 // Dipole whose line spread fits the mean profile of the valid profiles of `channel` that are not apart best (least
-// squares over both coefficients). `surface`: mean reflectance of the very surface, whose spike is no dipole's and is
+// squares over both coefficients). `surface`: mean reflectance of the surface itself, whose spike is no dipole's and is
 // taken off first.
 [[nodiscard]] Dipole FitDipole(std::span<const SrdBatch* const> lights, int channel, int channels, double eta,
                                double surface);

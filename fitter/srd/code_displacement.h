@@ -23,7 +23,7 @@ namespace stratalux::fit {
                                                         const RigCalibration& rig, const ScatteringModel& model);
 
 // Of each quad of `surface`, along its normal, per mm of the depth that the codes seem to come from; 0 outside the
-// mask. What scattered is displaced by T(omega_i) - T(omega_o) a mm of that depth, what the very surface mirrors is
+// mask. What scattered is displaced by T(omega_i) - T(omega_o) a mm of that depth, what the surface itself mirrors is
 // not, and a code by the mean of both (`scattered`: the share of the former, by projector, on quads). A deeper surface
 // displaces it by t(omega_i) - t(omega_o) a mm: the triangulated depth is the least squares over columns and rows of
 // all projectors, each weighted by what its codes weigh in the surface (`coded`: by projector, on quads; where none has

@@ -168,7 +168,7 @@ Result<EmOptions> SharedOptions(const FitOptions& options, const Lights& lights,
   model.tau = shared.tau;
   if (em.surface_term && options.choose.reflection && !model.reflection.Known())
     logger.Warning(label +
-                   ": too few pixels are lit from two directions within 60 degrees to tell how the very surface "
+                   ": too few pixels are lit from two directions within 60 degrees to tell how the surface itself "
                    "reflects; of each light its own, as with --surface free");
   logger.Info(label + ": " + Describe(model));
   if (options.choose.directions && model.mode == FitMode::kTied && !em.direction_blind) {

@@ -17,7 +17,7 @@ inline constexpr int kFitVersion = 16;
 // What a session's fit finds on its training lights by itself.
 struct SessionChoices {
   bool directions = false;  // directional weights and tau (EstimateDirections); of tied fits
-  bool reflection = true;   // of the very surface (EstimateSurfaceReflection); else unknown
+  bool reflection = true;   // of the surface itself (EstimateSurfaceReflection); else unknown
   bool prior = true;        // its strength (ChoosePrior); else em.prior
   bool neighbours = true;   // whose layers it is centred on (FitAmongNeighbours); else the session's mean; of tied fits
 };
@@ -48,9 +48,9 @@ struct TrainingLights {
 // kUsage when none is left.
 [[nodiscard]] Result<TrainingLights> TrainingLightsOf(const SrdSet& srds, int heldout);
 
-// What white light alone says of all pixels together: how the very surface reflects, and tau of the gain. Of one set of
-// training lights it is the same wherever the surface is placed (it reads no first_u_mm), and for fits that are blind
-// to direction.
+// What white light alone says of all pixels together: how the surface itself reflects, and tau of the gain. Of one set
+// of training lights it is the same wherever the surface is placed (it reads no first_u_mm), and for fits that are
+// blind to direction.
 struct SharedLight {
   SurfaceReflection reflection;  // not Known(): not asked for, or not told
   double tau = 0.0;

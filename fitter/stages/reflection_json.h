@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// How the very surface reflects, in the JSON files of artifacts and in metrics.json (docs/file-formats.md).
+// How the surface itself reflects, in the JSON files of artifacts and in metrics.json (docs/file-formats.md).
 #pragma once
 
 #include <nlohmann/json.hpp>

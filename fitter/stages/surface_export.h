@@ -31,7 +31,7 @@ struct ExportedSurface {
   CameraCalibration camera;
   Image<float> normal_sigma_rad;  // NaN where not known; empty: nowhere
   // Diffuse albedo, W x H x (1 or 3): the sum of the fitted weights, light that went through the skin over what a white
-  // target would reflect, without the light of the very surface. NaN where nothing was fitted; empty: nowhere.
+  // target would reflect, without the light of the surface itself. NaN where nothing was fitted; empty: nowhere.
   Image<float> albedo;
   Image<uint8_t> skin;  // W x H, 1: skin
   // Whether the skin stage told; else all of the surface counts as skin, as there.

@@ -151,7 +151,7 @@ TEST_F(DarkSkin, IsFittedWhereItIsLit) {
     EXPECT_GT(coverage.lit, 5000) << melanin;
     EXPECT_GE(coverage.share(), 0.9) << melanin;
     EXPECT_GE(coverage.ShareOfColours(), 0.9) << melanin;
-    // Half of dark skin's light comes from its very surface, whose codes lie where they are seen.
+    // Half of dark skin's light comes from its surface, whose codes lie where they are seen.
     EXPECT_LT(coverage.depth_bias_mm, 0.4 * coverage.unplaced_bias_mm) << melanin;
     // What the choice is for: the plan's exposure is as wide, and far dimmer.
     if (melanin == 0.2) {

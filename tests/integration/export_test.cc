@@ -106,7 +106,7 @@ TEST_F(Export, HoldsWhatTheFitHolds) {
                      stored = fit::ReadPly(folder / "mesh.ply");
   const fit::GlbRead glb = fit::ReadGlb(out / "mesh.glb");
   EXPECT_EQ(mesh.faces, stored.faces);
-  // A clear coat where the fit knows how the very surface reflects.
+  // A clear coat where the fit knows how the surface itself reflects.
   const bool coated = !Json::parse(ReadText(folder / "layers.json")).at("surface").is_null();
   EXPECT_EQ(!glb.coat_normal_png.empty(), coated);
   WriteText(folder_ / "normals.png", coated ? glb.coat_normal_png : glb.normal_png);

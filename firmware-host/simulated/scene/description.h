@@ -67,7 +67,7 @@ struct SkinDescription {
 
 enum class SkinSurface { kGgx, kBeckmann, kTwoLobes };
 
-// The skin's very surface (face_surface.h).
+// The skin's surface itself (face_surface.h).
 struct SurfaceDescription {
   SkinSurface form = SkinSurface::kTwoLobes;  // kGgx: the form that the fitter fits
   double oiliness = 0.5;                      // of forehead, nose and chin; 0: the surface is the same everywhere

@@ -123,7 +123,7 @@ TEST(FitMixture, RecoversTotalDepthAndUnseenLightOfKnownLayersUnderPhotonNoise) 
 
 TEST(FitMixture, BeatsTheDirectionBlindFitOnUnseenLightAndFindsPositiveDepth) {
   EmOptions options;
-  options.surface_term = false;  // these data have no light from the very surface
+  options.surface_term = false;  // these data have no light from the surface itself
   options.max_iterations = 150;
   const Lights lights = MakeLights({-1.0, 0.0, 0.58}, 16, 0, options);
   EmOptions blind = options;
@@ -374,7 +374,7 @@ TEST(LineResponse, IsTheDifferenceOfNormalDistributionsAveragedOverTheCell) {
   EXPECT_NEAR(sum, 1.0, 1e-9);
 }
 
-// The light of the very surface added to that of known layers.
+// The light of the surface itself added to that of known layers.
 TEST(FitMixture, SurfaceReflectionTakesTheSurfacesLightOffTheLayers) {
   EmOptions options;
   options.scattering.gain_model = false;

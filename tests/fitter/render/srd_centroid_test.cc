@@ -76,7 +76,7 @@ TEST(CompareCentroids, FindsTheDepthOfALayerAndSeesThatABlindFitPredictsNone) {
   EXPECT_GT(blind.rms_mm, 0.1);
 }
 
-// The very surface's light lies at the line, however obliquely the light enters: the layers' gain is not on it.
+// The surface's own light lies at the line, however obliquely the light enters: the layers' gain is not on it.
 TEST(CompareCentroids, OfALightThatWasFittedTheSurfaceIsWhatTheFitFound) {
   MixtureMap skin = OneLayer(0.5F);
   skin.scattering.gain_model = true;

@@ -173,7 +173,7 @@ TEST(CodeDisplacement, IsWhatLeastSquaresMakesOfDisplacedCodes) {
   EXPECT_GT(std::abs(best() - of_both), 2e-3);
   coded = {0.25, 1.0};
   EXPECT_NEAR(DisplacementOf(rig, plane, model, {0.25F, 1.0F})(i, j) * kDepth, best(), 2e-4);
-  // What the very surface mirrors is seen where it falls.
+  // What the surface itself mirrors is seen where it falls.
   coded = {1.0, 1.0};
   scattered = {0.3, 0.9};
   EXPECT_NEAR(DisplacementOf(rig, plane, model, {1.0F, 1.0F}, {0.3F, 0.9F})(i, j) * kDepth, best(), 2e-4);
