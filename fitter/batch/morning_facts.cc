@@ -125,10 +125,10 @@ std::vector<Outlier> OutliersOf(const std::string& session, const Figures& figur
   return outliers;
 }
 
-std::set<std::string> ForgottenOf(const fs::path& store) {
+Result<std::set<std::string>> ForgottenOf(const fs::path& store) {
+  SLX_ASSIGN_OR_RETURN(const auto deletions, db::ListDeletions(store));
   std::set<std::string> forgotten;
-  if (const auto deletions = db::ListDeletions(store); deletions.ok())
-    for (const db::Deletion& deletion : *deletions) forgotten.insert(deletion.session);
+  for (const db::Deletion& deletion : deletions) forgotten.insert(deletion.session);
   return forgotten;
 }
 
@@ -137,7 +137,7 @@ Result<MorningFacts> GatherMorning(const fs::path& store_folder, const std::stri
   facts.folder = store_folder / "nights" / night;
   SLX_ASSIGN_OR_RETURN(NightRecord record, ReadNight(facts.folder));
   // A forgetting enters the ledger before it comes to the nights' files.
-  const auto forgotten = ForgottenOf(store_folder);
+  SLX_ASSIGN_OR_RETURN(const auto forgotten, ForgottenOf(store_folder));
   std::erase_if(record.events, [&](const NightEvent& event) { return forgotten.contains(event.session); });
   facts.night = StatusOf(record.events);
   facts.unread = record.unread;

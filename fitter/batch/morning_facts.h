@@ -59,9 +59,8 @@ struct MorningFacts {
   std::optional<double> nights_left;
 };
 
-// Whom nothing may name any more. Nobody where that cannot be read: what nights said of them went with their
-// forgetting.
-[[nodiscard]] std::set<std::string> ForgottenOf(const std::filesystem::path& store);
+// Whom nothing may name any more.
+[[nodiscard]] Result<std::set<std::string>> ForgottenOf(const std::filesystem::path& store);
 
 // Of nobody who is forgotten. `night`: a name of Nights(store). Earlier fits: the newest 200 of other visitors that
 // were made before it.

@@ -236,9 +236,17 @@ Result<fs::path> WriteMorningReport(const fs::path& store, const std::string& ni
     const MorningReport report = ReportOf(facts, store);
     SLX_ASSIGN_OR_RETURN(const std::string html, RenderHtml(report.page));
     if (gathered) gathered();
-    SLX_RETURN_IF_ERROR(db::ReplaceFile(facts.folder / "report.txt", report.text));
-    SLX_RETURN_IF_ERROR(db::ReplaceFile(facts.folder / "report.html", html));
-    if (!NamesAnyOf(ForgottenOf(store), facts.night)) return facts.folder / "report.html";
+    const fs::path page = facts.folder / "report.html", text = facts.folder / "report.txt";
+    Status written = db::ReplaceFile(text, report.text);
+    if (written.ok()) written = db::ReplaceFile(page, html);
+    const auto forgotten = ForgottenOf(store);
+    if (forgotten.ok() && !NamesAnyOf(*forgotten, facts.night)) {
+      SLX_RETURN_IF_ERROR(written);
+      return page;
+    }
+    // Wiped, not replaced: that would leave the bytes of who is forgotten on the disk. Both, whatever becomes of one.
+    const Status no_text = db::WipeFile(text), no_page = db::WipeFile(page);
+    for (const Status& step : {no_text, no_page, forgotten.status()}) SLX_RETURN_IF_ERROR(step);
   }
 }
 

@@ -20,7 +20,8 @@ struct MorningReport {
 // Pictures of faces only of visits that are not encrypted (`store` has them); of all others no pixel leaves its seal.
 [[nodiscard]] MorningReport ReportOf(const MorningFacts& facts, const std::filesystem::path& store);
 
-// report.html and report.txt in the night's folder; the page's path. Made again for whoever is forgotten meanwhile.
+// report.html and report.txt in the night's folder; the page's path. Wiped and made again for whoever is forgotten
+// meanwhile; where that cannot be asked once it is made, wiped: an error.
 // `gathered`: called before the files are replaced (tests forget somebody there).
 [[nodiscard]] Result<std::filesystem::path> WriteMorningReport(const std::filesystem::path& store,
                                                                const std::string& night,

@@ -5,6 +5,7 @@
 #include <gmock/gmock.h>
 
 #include "db/ledger/ledger.h"
+#include "db/ledger/ledger_line.h"
 #include "db/privacy/forget.h"
 #include "tests/db/store_fixture.h"
 #include "tests/support/text_file.h"
@@ -183,6 +184,35 @@ TEST_F(MorningReportTest, WhoIsForgottenWhileItIsMadeIsNotInIt) {
       const std::string text = entry.is_regular_file() ? ReadText(entry.path()) : "";
       EXPECT_THAT(text, Not(HasSubstr(gone))) << entry.path();
     }
+}
+
+// Whether somebody was is not known: a page that may name them is none.
+TEST_F(MorningReportTest, WhereItCannotBeAskedWhoIsForgottenThereIsNoPage) {
+  auto log = NightLog::Begin(folder_);
+  ASSERT_TRUE(log.ok());
+  const std::string session = Fitted(0.05, WallNow());
+  ASSERT_TRUE(log->Add({.kind = NightEventKind::kBegan, .at = WallNow(), .count = 1}).ok());
+  ASSERT_TRUE(log->Add({.kind = NightEventKind::kDone, .at = WallNow(), .session = session, .fit = "f1"}).ok());
+  const std::string night = log->folder().filename().string();
+  ASSERT_TRUE(WriteMorningReport(folder_, night).ok());
+  const std::filesystem::path later = folder_ / "ledger" / "0123456789abcdef0123456789abcdef.jsonl";
+  const auto page = WriteMorningReport(folder_, night, [&] {
+    Logger quiet(LogLevel::kError);
+    db::ForgetRequest request;
+    request.sessions = {session};
+    const auto forgotten = db::Forget(folder_, request, quiet);
+    EXPECT_TRUE(forgotten.ok()) << forgotten.status().message();
+    const std::string said = R"({"schema":99,"kind":"sealing")";
+    WriteText(later, said + ",\"hash\":\"" + db::LedgerHash(said + "}") + "\"}\n");
+  });
+  EXPECT_EQ(page.status().code(), StatusCode::kNewerSchema) << page.status().message();
+  EXPECT_FALSE(std::filesystem::exists(log->folder() / "report.html"));
+  EXPECT_FALSE(std::filesystem::exists(log->folder() / "report.txt"));
+  for (const auto& entry : std::filesystem::directory_iterator(log->folder()))
+    EXPECT_THAT(ReadText(entry.path()), Not(HasSubstr(session))) << entry.path();
+  EXPECT_EQ(WriteMorningReport(folder_, night).status().code(), StatusCode::kNewerSchema);
+  std::filesystem::remove(later);
+  EXPECT_TRUE(WriteMorningReport(folder_, night).ok());
 }
 
 // The ledger has the forgetting before the nights' files go.
