@@ -248,17 +248,20 @@ Status MergeAsItComes(const ClusterFlags& flags, std::chrono::seconds time, Logg
   for (bool pending = true;;) {
     std::map<fs::path, fs::file_time_type> now;
     std::error_code error;
-    for (const fs::path& file : ManifestFiles(flags.results)) now[file] = fs::last_write_time(file, error);
+    if (const auto files = ManifestFiles(flags.results); files.ok())
+      for (const fs::path& file : *files) now[file] = fs::last_write_time(file, error);
     pollfd asked{asks.fd(), POLLIN, 0};
     const bool over = std::chrono::steady_clock::now() >= end || poll(&asked, 1, 0) > 0;
     if (pending || over || now != before) {
       const auto outcome = MergeShards(flags.batch.fit.run.store, flags.results, MergeMode::kKeep, logger);
-      // Somebody merges by hand, a disk that fails once: the next look may find it otherwise.
-      const StatusCode code = outcome.status().code();
-      pending = code == StatusCode::kBusy || code == StatusCode::kFailed;
-      if (!outcome.ok() && (over || !pending)) return outcome.status();
       if (outcome.ok() && (over || outcome->missing.empty())) return TellMerge(flags, *outcome, logger);
-      if (pending && told.insert(outcome.status().message()).second) logger.Warning(outcome.status().message());
+      // Somebody merges by hand, a disk or a network file system fails once: the next look may find it otherwise.
+      const StatusCode code = outcome.status().code();
+      pending = outcome.ok() ? !outcome->unread.empty() : code == StatusCode::kBusy || code == StatusCode::kFailed;
+      if (!outcome.ok() && (over || !pending)) return outcome.status();
+      using Lines = std::vector<std::string>;
+      for (const std::string& problem : outcome.ok() ? outcome->problems : Lines{outcome.status().message()})
+        if (told.insert(problem).second) logger.Warning(problem);
       if (outcome.ok() && outcome->entered > 0)
         logger.Info(Formatted("%d fits entered, %zu missing", outcome->entered, outcome->missing.size()));
     }

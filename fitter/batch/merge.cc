@@ -70,7 +70,7 @@ class Merger {
 
  private:
   Status ReadEarlier();
-  void ReadManifests();
+  Status ReadManifests();
   Status Begin();
   Status Merge(const PlannedVisit& visit);
   Status Drop(const PlannedVisit& visit, const std::string& reason);
@@ -105,14 +105,20 @@ Status Merger::ReadEarlier() {
   return Status::Ok();
 }
 
-void Merger::ReadManifests() {
-  for (const fs::path& file : ManifestFiles(results_)) {
+Status Merger::ReadManifests() {
+  SLX_ASSIGN_OR_RETURN(const auto files, ManifestFiles(results_));
+  for (const fs::path& file : files) {
     auto manifest = ReadManifest(file, plan_);
-    if (manifest.ok())
+    if (manifest.ok()) {
       manifests_.push_back(std::move(*manifest));
-    else
-      outcome_.problems.push_back(manifest.status().message());
+      continue;
+    }
+    outcome_.problems.push_back(manifest.status().message());
+    const StatusCode code = manifest.status().code();
+    if (code == StatusCode::kFailed || code == StatusCode::kNotFound)
+      outcome_.unread.push_back(outcome_.problems.back());
   }
+  return Status::Ok();
 }
 
 Status Merger::Begin() {
@@ -150,7 +156,10 @@ Status Merger::Enter(const PlannedVisit& visit, const ShardVisit& said) {
   if (said.made.empty() || said.made.back().place != fit.place)
     return Status::Integrity("session " + visit.session + ": its shard made no fit " + visit.fit);
   const Status checked = CheckRecords(made, said.made);
-  if (checked.code() == StatusCode::kFailed) return Status::Integrity(checked.message());  // cannot be read
+  if (checked.code() == StatusCode::kFailed) {
+    outcome_.unread.push_back(checked.message());
+    return Status::Integrity(checked.message());
+  }
   SLX_RETURN_IF_ERROR(checked);
   SLX_ASSIGN_OR_RETURN(const db::FileSeal seal, db::FindSeal(index_, visit.session));
   SLX_ASSIGN_OR_RETURN(auto artifacts, ArtifactStore::Open(session, PlainFiles(seal), logger_));
@@ -226,13 +235,14 @@ Result<MergeOutcome> Merger::Run(MergeMode mode) {
   outcome_.night = log_.folder().filename().string();
   SLX_RETURN_IF_ERROR(ReadEarlier());
   SLX_RETURN_IF_ERROR(Begin());
-  ReadManifests();
+  SLX_RETURN_IF_ERROR(ReadManifests());
   Progress progress(logger_, "merge", static_cast<int64_t>(plan_.visits.size()));
   for (const PlannedVisit& visit : plan_.visits) {
     SLX_RETURN_IF_ERROR(Merge(visit));
     progress.Advance();
   }
-  if ((mode == MergeMode::kKeep && !outcome_.missing.empty()) || told_.ended) return outcome_;
+  const bool stays = mode == MergeMode::kKeep || !outcome_.unread.empty();
+  if ((stays && !outcome_.missing.empty()) || told_.ended) return outcome_;
   const WallNs now = WallNow();
   NightEvent ended{.kind = NightEventKind::kEnded,
                    .at = now,
@@ -295,3 +305,9 @@ Result<MergeOutcome> MergeShards(const fs::path& store, const fs::path& given, M
 }
 
 }  // namespace stratalux::fit
+  if (!outcome.unread.empty()) {
+    for (const std::string& problem : outcome.problems) logger.Warning(problem);
+    return Status::Failed(results.string() + " stays: fits may lie in what could not be read of it (" +
+                          std::to_string(outcome.unread.size()) + " files, such as: " + outcome.unread.front() +
+                          "). Merge again once it can be read; what is lost for good, remove by hand");
+  }

@@ -28,7 +28,8 @@ struct MergeOutcome {
 };
 
 // kClose: the folder is removed afterwards, with what closes that were killed have left beside it; who is missing is
-// planned anew with the next night. Its shards are over.
+// planned anew with the next night. Its shards are over. A link to it goes with it, one that a killed close has left,
+// too. kFailed, and it stays, where something of it could not be read (MergeOutcome::unread): it may hold fits.
 enum class MergeMode { kKeep, kClose };
 
 // kBusy while another merge of these results runs. What is wrong with one visitor is a problem, and the others go on.

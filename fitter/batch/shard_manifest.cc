@@ -75,13 +75,15 @@ fs::path ManifestFile(const fs::path& results, const Shard& shard) {
   return results / Formatted("%s%04d-of-%04d.json", kBegin, shard.index, shard.count);
 }
 
-std::vector<fs::path> ManifestFiles(const fs::path& results) {
+Result<std::vector<fs::path>> ManifestFiles(const fs::path& results) {
   std::vector<fs::path> files;
   std::error_code error;
-  for (const auto& entry : fs::directory_iterator(results, error)) {
-    const std::string name = entry.path().filename().string();
-    if (name.starts_with(kBegin) && name.ends_with(".json")) files.push_back(entry.path());
+  for (fs::directory_iterator at(results, error), end; !error && at != end; at.increment(error)) {
+    const std::string name = at->path().filename().string();
+    if (name.starts_with(kBegin) && name.ends_with(".json")) files.push_back(at->path());
   }
+  if (error && error != std::errc::no_such_file_or_directory)
+    return Status::Failed("cannot list " + results.string() + ": " + error.message());
   std::sort(files.begin(), files.end());
   return files;
 }
@@ -171,7 +173,10 @@ Status CheckRecords(const fs::path& session_results, const std::vector<MadeFolde
   for (const MadeFolder& one : made) {
     const fs::path record = session_results / one.place / RecordOf(one);
     std::error_code error;
-    if (!fs::exists(record, error)) return Status::NotFound(record.string() + " is missing");
+    const auto type = fs::status(record, error).type();
+    if (type == fs::file_type::not_found) return Status::NotFound(record.string() + " is missing");
+    if (type == fs::file_type::none)
+      return Status::Failed("cannot look at " + record.string() + ": " + error.message());
     SLX_ASSIGN_OR_RETURN(const std::string hash, db::HashOfFile(record));
     if (hash != one.record_hash)
       return Status::Integrity(record.string() + " is not the one that its manifest speaks of");

@@ -35,8 +35,8 @@ struct ShardManifest {
 };
 
 [[nodiscard]] std::filesystem::path ManifestFile(const std::filesystem::path& results, const Shard& shard);
-// Those that are there, by name.
-[[nodiscard]] std::vector<std::filesystem::path> ManifestFiles(const std::filesystem::path& results);
+// Those that are there, by name; of a folder that is not there none. kFailed where it cannot be listed.
+[[nodiscard]] Result<std::vector<std::filesystem::path>> ManifestFiles(const std::filesystem::path& results);
 Status WriteManifest(const std::filesystem::path& results, const ShardManifest& manifest);
 // kNotFound; kIntegrity for half a file or a damaged one, and for one of another plan; kNewerSchema.
 [[nodiscard]] Result<ShardManifest> ReadManifest(const std::filesystem::path& file, const ShardPlan& plan);
@@ -51,7 +51,7 @@ Status RemoveResults(const std::filesystem::path& results, const std::string& se
 // Its whole artifacts, and the fit. kNotFound where the fit is not there.
 [[nodiscard]] Result<std::vector<MadeFolder>> ListMade(const std::filesystem::path& session_results,
                                                        const std::string& fit);
-// The records are those that the manifest speaks of. kIntegrity, kNotFound.
+// The records are those that the manifest speaks of. kIntegrity, kNotFound; kFailed where one cannot be read.
 Status CheckRecords(const std::filesystem::path& session_results, const std::vector<MadeFolder>& made);
 
 }  // namespace stratalux::fit

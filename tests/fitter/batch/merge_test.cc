@@ -17,6 +17,7 @@ namespace stratalux::fit {
 namespace {
 
 namespace fs = std::filesystem;
+using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::SizeIs;
@@ -141,6 +142,48 @@ TEST_F(MergeTest, WhatWasMadeAgainOfWhoIsMergedGoes) {
   const auto outcome = Merge(results_, MergeMode::kKeep);
   ASSERT_TRUE(outcome.ok()) << outcome.status().message();
   EXPECT_THAT(outcome->problems, IsEmpty());
+// What cannot be read for the moment, as on a network file system that fails, may be a fit that nobody else has.
+TEST_F(MergeTest, WhatCannotBeReadOfTheResultsIsNotRemoved) {
+  const std::string first = StoreSession(1), second = Fitted();
+  Planned({first, second});
+  const auto plan = ReadPlan(results_);
+  ASSERT_TRUE(plan.ok());
+  ShardManifest manifest{plan->id, {1, 1}, {}};
+  manifest.Say({{.kind = NightEventKind::kDone, .session = first, .fit = "f1"},
+                {{"fits/f1", "0123456789abcdef0123456789abcdef"}}});
+  ASSERT_TRUE(WriteManifest(results_, manifest).ok());
+  const fs::path record = ResultsOf(results_, first) / "fits" / "f1" / "fit.json";
+  fs::create_directories(record);
+  const auto outcome = Merge(results_, MergeMode::kKeep);
+  ASSERT_TRUE(outcome.ok()) << outcome.status().message();
+  EXPECT_EQ(outcome->present, 1) << "it keeps nobody else";
+  EXPECT_THAT(outcome->unread, SizeIs(1));
+  EXPECT_THAT(outcome->missing, ElementsAre(first));
+  const Status closed = Merge(results_, MergeMode::kClose).status();
+  EXPECT_EQ(closed.code(), StatusCode::kFailed);
+  EXPECT_THAT(closed.message(), HasSubstr(record.string()));
+  EXPECT_TRUE(fs::exists(record));
+  EXPECT_FALSE(StatusOf(ReadNight(folder_ / "nights" / outcome->night)->events).ended) << "it is not over";
+  // Another file than the manifest speaks of is damage: nothing that could be merged.
+  fs::remove(record);
+  WriteText(record, "another");
+  ASSERT_TRUE(Merge(results_, MergeMode::kClose).ok());
+  EXPECT_FALSE(fs::exists(results_));
+}
+
+TEST_F(MergeTest, AManifestThatCannotBeReadKeepsTheResults) {
+  const std::string session = StoreSession(1);
+  Planned({session});
+  const fs::path manifest = ManifestFile(results_, {1, 1});
+  fs::create_symlink(manifest.filename(), manifest);
+  EXPECT_THAT(Merge(results_, MergeMode::kKeep)->unread, SizeIs(1));
+  EXPECT_EQ(Merge(results_, MergeMode::kClose).status().code(), StatusCode::kFailed);
+  EXPECT_TRUE(fs::exists(results_));
+  fs::remove(manifest);
+  WriteText(manifest, "half a manif");
+  EXPECT_TRUE(Merge(results_, MergeMode::kClose).ok());
+}
+
   EXPECT_FALSE(fs::exists(ResultsOf(results_, session) / "fits"));
   EXPECT_TRUE(IsMerged(results_, session));
 }

@@ -150,7 +150,7 @@ class ShardManifestTest : public ShardPlanTest {
 TEST_F(ShardManifestTest, ComesBackWithTheLastWordOfEach) {
   const ShardPlan plan = Written(Plan(2));
   ASSERT_TRUE(WriteManifest(folder_, Manifest(plan)).ok());
-  const auto files = ManifestFiles(folder_);
+  const auto files = *ManifestFiles(folder_);
   ASSERT_EQ(files.size(), 1U);
   EXPECT_EQ(files[0].filename(), "shard-0002-of-0003.json");
   const auto read = ReadManifest(files[0], plan);
@@ -166,7 +166,7 @@ TEST_F(ShardManifestTest, ComesBackWithTheLastWordOfEach) {
 TEST_F(ShardManifestTest, AnyPartOfOneIsNone) {
   const ShardPlan plan = Written(Plan(2));
   ASSERT_TRUE(WriteManifest(folder_, Manifest(plan)).ok());
-  const fs::path file = ManifestFiles(folder_)[0];
+  const fs::path file = ManifestFiles(folder_)->at(0);
   const std::string text = ReadText(file);
   for (size_t bytes = 0; bytes < text.size(); bytes += 7) {
     WriteText(file, text.substr(0, bytes));
@@ -181,7 +181,8 @@ TEST_F(ShardManifestTest, OnlyAnEndOfAVisitorIsOne) {
     ShardManifest manifest = Manifest(plan);
     manifest.visits[0].end.kind = kind;
     ASSERT_TRUE(WriteManifest(folder_, manifest).ok());
-    EXPECT_EQ(ReadManifest(ManifestFiles(folder_)[0], plan).status().code(), StatusCode::kIntegrity) << ToString(kind);
+    EXPECT_EQ(ReadManifest(ManifestFiles(folder_)->at(0), plan).status().code(), StatusCode::kIntegrity)
+        << ToString(kind);
   }
 }
 
@@ -190,13 +191,13 @@ TEST_F(ShardManifestTest, OneOfAnotherPlanOrThatLeavesItsFolderIsRefused) {
   ShardPlan other = plan;
   other.id = "another";
   ASSERT_TRUE(WriteManifest(folder_, Manifest(other)).ok());
-  EXPECT_THAT(ReadManifest(ManifestFiles(folder_)[0], plan).status().message(), HasSubstr("another plan"));
+  EXPECT_THAT(ReadManifest(ManifestFiles(folder_)->at(0), plan).status().message(), HasSubstr("another plan"));
   for (const char* place :
        {"fits/..", "fits/../..", "artifacts/a/b", "/etc", "fits/", "sessions/x", "artifacts/.lock"}) {
     ShardManifest manifest = Manifest(plan);
     manifest.visits[0].made = {{place, "00"}};
     ASSERT_TRUE(WriteManifest(folder_, manifest).ok());
-    EXPECT_EQ(ReadManifest(ManifestFiles(folder_)[0], plan).status().code(), StatusCode::kIntegrity) << place;
+    EXPECT_EQ(ReadManifest(ManifestFiles(folder_)->at(0), plan).status().code(), StatusCode::kIntegrity) << place;
   }
 }
 
