@@ -37,7 +37,8 @@ Result<std::string> ReadFile(const std::filesystem::path& file, int64_t most_byt
     return Status::NotFound("cannot read " + file.string() + ": its name holds a zero byte");
   // Not to wait for the other end of a pipe.
   const UniqueFd fd(open(file.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK));
-  if (!fd.ok()) return cannot(StatusCode::kNotFound);
+  // What is there and cannot be opened is not missing: who takes it for that makes it anew, or goes on without it.
+  if (!fd.ok()) return cannot(errno == ENOENT || errno == ENOTDIR ? StatusCode::kNotFound : StatusCode::kFailed);
   struct stat facts {};
   if (fstat(fd.get(), &facts) != 0) return cannot(StatusCode::kFailed);
   if (!S_ISREG(facts.st_mode))

@@ -18,9 +18,9 @@ inline constexpr int64_t kMostPictureBytes = int64_t{1} << 30;
 // For what is copied, whatever its size.
 inline constexpr int64_t kAnyFileSize = std::numeric_limits<int64_t>::max();
 
-// The bytes of `file`. kNotFound where it cannot be opened; kFailed where it cannot be read (a broken disk), is no
-// regular file (a folder, a device, a pipe: none of them is waited for) or holds more than `most_bytes`, of which then
-// nothing is read. The message names file, size and limit, or the reason.
+// The bytes of `file`. kNotFound where it is not there; kFailed where it cannot be opened or read (another account's, a
+// broken disk), is no regular file (a folder, a device, a pipe: none of them is waited for) or holds more than
+// `most_bytes`, of which then nothing is read. The message names file, size and limit, or the reason.
 [[nodiscard]] Result<std::string> ReadFile(const std::filesystem::path& file, int64_t most_bytes = kMostRecordBytes);
 
 }  // namespace stratalux

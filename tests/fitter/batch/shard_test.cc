@@ -65,6 +65,14 @@ TEST_F(ShardTest, AManifestOfALaterVersionStaysAsItIs) {
   EXPECT_TRUE(Run().ok());
 }
 
+// Nor is one replaced that cannot be opened for the moment: a link to itself is no missing file.
+TEST_F(ShardTest, AManifestThatCannotBeOpenedStaysAsItIs) {
+  const fs::path manifest = ManifestFile(options_.results, options_.shard);
+  fs::create_symlink(manifest.filename(), manifest);
+  EXPECT_EQ(Run().status().code(), StatusCode::kFailed);
+  EXPECT_TRUE(fs::is_symlink(manifest));
+}
+
 // Its manifest was lost; the store has the fit.
 TEST_F(ShardTest, WhoIsMergedIsNotFittedAgain) {
   ASSERT_TRUE(MarkMerged(options_.results, session_).ok());

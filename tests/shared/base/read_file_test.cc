@@ -33,6 +33,20 @@ TEST(ReadFile, NamesWhatIsNoFile) {
   EXPECT_NE(directory.message().find(folder.string()), std::string::npos) << directory.message();
 }
 
+// Nobody makes it anew, or goes on as if there were none.
+TEST(ReadFile, WhatIsThereAndCannotBeOpenedIsNotMissing) {
+  const fs::path folder = fs::path(::testing::TempDir()) / "stratalux_read_unopened";
+  fs::remove_all(folder);
+  fs::create_directories(folder);
+  std::ofstream(folder / "file") << "text";
+  fs::create_symlink("loop", folder / "loop");
+  fs::create_symlink("gone", folder / "dangling");
+  EXPECT_EQ(ReadFile(folder / "loop").status().code(), StatusCode::kFailed);
+  EXPECT_EQ(ReadFile(folder / "dangling").status().code(), StatusCode::kNotFound);
+  EXPECT_EQ(ReadFile(folder / "file" / "below").status().code(), StatusCode::kNotFound);
+  fs::remove_all(folder);
+}
+
 TEST(ReadFile, WaitsForNobodyAndReadsNoMoreThanItMay) {
   const fs::path folder = fs::path(::testing::TempDir()) / "stratalux_read_limits";
   fs::remove_all(folder);
