@@ -254,9 +254,22 @@ Result<MergeOutcome> Merger::Run(MergeMode mode) {
   return outcome_;
 }
 
+fs::path WithoutSlash(const fs::path& path) { return path.has_filename() ? path : path.parent_path(); }
+
+// Where a link leads, though it leads to nothing any more: what a killed close set aside lies beside that.
+fs::path FolderOf(const fs::path& given) {
+  constexpr int kMostLinks = 40;  // as Linux follows
+  std::error_code error;
+  fs::path at = fs::absolute(given, error);
+  for (int i = 0; i < kMostLinks && fs::is_symlink(at, error); ++i)
+    at = WithoutSlash(at.parent_path() / fs::read_symlink(at, error));
+  const fs::path folder = fs::weakly_canonical(at, error);
+  return error ? at : WithoutSlash(folder);
+}
+
 // What a merge that was killed while it removed RESULTS has left beside it: faces, under a name that nobody looks for.
 void RemoveLeftAside(const fs::path& results, Logger& logger) {
-  const std::string begin = (results.has_filename() ? results : results.parent_path()).filename().string() + kAside;
+  const std::string begin = results.filename().string() + kAside;
   std::error_code error;
   std::vector<fs::path> left;
   for (fs::directory_iterator at(results.parent_path(), error), end; !error && at != end; at.increment(error)) {
@@ -278,11 +291,16 @@ void RemoveLeftAside(const fs::path& results, Logger& logger) {
 }  // namespace
 
 Result<MergeOutcome> MergeShards(const fs::path& store, const fs::path& given, MergeMode mode, Logger& logger) {
-  // What is removed is the folder, not a link to it.
   std::error_code error;
-  fs::path results = fs::weakly_canonical(given, error);
-  if (error) results = given;
-  if (mode == MergeMode::kClose) RemoveLeftAside(results, logger);
+  // What is removed is the folder, and the link to it then.
+  const fs::path link = WithoutSlash(given), results = FolderOf(link);
+  if (mode == MergeMode::kClose) {
+    RemoveLeftAside(results, logger);
+    // A close that was killed behind the folder: the next plan is written where the link is.
+    if (fs::is_symlink(link, error) && fs::is_directory(results.parent_path(), error) &&
+        fs::symlink_status(results, error).type() == fs::file_type::not_found)
+      fs::remove(link, error);
+  }
   SLX_ASSIGN_OR_RETURN(ShardPlan plan, ReadPlan(results));
   SLX_ASSIGN_OR_RETURN(auto index, db::SessionStore::Open(store, db::AccessMode::kReadOnly));
   SLX_ASSIGN_OR_RETURN(const auto lock, db::FileLock::TryTake(results / ".merge.lock",
@@ -292,22 +310,21 @@ Result<MergeOutcome> MergeShards(const fs::path& store, const fs::path& given, M
   SLX_ASSIGN_OR_RETURN(MergeOutcome outcome,
                        Merger(store, results, std::move(plan), std::move(log), std::move(index), logger).Run(mode));
   if (mode == MergeMode::kKeep) return outcome;
-  // Aside first, where that can be: who looks for a plan or an ask meanwhile finds none, not half of them.
-  fs::path aside = results;
-  if (!aside.has_filename()) aside = aside.parent_path();
-  aside += kAside + std::to_string(getpid());
-  fs::rename(results, aside, error);
-  const fs::path old = error ? results : aside;
-  fs::remove_all(old, error);
-  if (error) return Status::Failed("cannot remove " + old.string() + ": " + error.message());
-  if (fs::is_symlink(given, error)) fs::remove(given, error);
-  return outcome;
-}
-
-}  // namespace stratalux::fit
   if (!outcome.unread.empty()) {
     for (const std::string& problem : outcome.problems) logger.Warning(problem);
     return Status::Failed(results.string() + " stays: fits may lie in what could not be read of it (" +
                           std::to_string(outcome.unread.size()) + " files, such as: " + outcome.unread.front() +
                           "). Merge again once it can be read; what is lost for good, remove by hand");
   }
+  // Aside first, where that can be: who looks for a plan or an ask meanwhile finds none, not half of them.
+  fs::path aside = results;
+  aside += kAside + std::to_string(getpid());
+  fs::rename(results, aside, error);
+  const fs::path old = error ? results : aside;
+  fs::remove_all(old, error);
+  if (error) return Status::Failed("cannot remove " + old.string() + ": " + error.message());
+  if (fs::is_symlink(link, error)) fs::remove(link, error);
+  return outcome;
+}
+
+}  // namespace stratalux::fit

@@ -25,6 +25,7 @@ struct MergeOutcome {
   std::vector<NightEvent> failed;     // in the workers' words
   std::vector<std::string> missing;   // sessions of which no shard has said anything that could be merged
   std::vector<std::string> problems;  // files that are not what a manifest or a record says
+  std::vector<std::string> unread;    // of these: files that are there and could not be read
 };
 
 // kClose: the folder is removed afterwards, with what closes that were killed have left beside it; who is missing is

@@ -83,6 +83,34 @@ TEST_F(MergeTest, ClosingALinkRemovesTheFolderThatItLeadsTo) {
   EXPECT_TRUE(fs::is_empty(work_)) << *fs::directory_iterator(work_);
 }
 
+// Killed between the rename and the removal of the link: that leads to nothing, and no plan can be written there.
+TEST_F(MergeTest, ACloseThroughALinkThatWasKilledIsFinishedByTheNextOne) {
+  for (const std::string end : {"", "/"})
+    for (const fs::path& target : {results_, fs::path("results"), fs::path("results/")}) {
+      const fs::path left = AsideOf(GoneProcess()), night = work_ / "night", further = work_ / "further";
+      fs::create_directory_symlink(target, further);
+      fs::create_directory_symlink("further", night);
+      EXPECT_EQ(Merge(night.string() + end, MergeMode::kKeep).status().code(), StatusCode::kNotFound);
+      EXPECT_TRUE(fs::exists(left) && fs::is_symlink(night)) << "nobody asked for it";
+      EXPECT_EQ(Merge(night.string() + end, MergeMode::kClose).status().code(), StatusCode::kNotFound);
+      EXPECT_FALSE(fs::exists(left)) << target << end;
+      EXPECT_FALSE(fs::is_symlink(night)) << target << end;
+      EXPECT_TRUE(fs::is_symlink(further)) << "another name, which nobody gave";
+      fs::remove(further);
+    }
+}
+
+// A folder without a plan, or one of a file system that is not there for the moment: no close was killed.
+TEST_F(MergeTest, ALinkThatNoCloseLeftStays) {
+  fs::create_directories(results_);
+  for (const fs::path& target : {results_, work_ / "mount" / "results", fs::path("night")}) {
+    fs::create_directory_symlink(target, work_ / "night");
+    EXPECT_FALSE(Merge(work_ / "night", MergeMode::kClose).ok());
+    EXPECT_TRUE(fs::is_symlink(work_ / "night")) << target;
+    fs::remove(work_ / "night");
+  }
+}
+
 TEST_F(MergeTest, WhatAKilledCloseHasLeftGoesWithTheNextOne) {
   const fs::path left = AsideOf(GoneProcess()), of_our_number = AsideOf(getpid()), at_work = AsideOf(getppid());
   fs::create_directories(results_.string() + ".closed-by-hand");
@@ -114,34 +142,6 @@ TEST_F(MergeTest, AFaultBelowOneVisitorKeepsNobodyElse) {
   EXPECT_TRUE(IsMerged(results_, second));
 }
 
-// Whether somebody was forgotten is not known for the moment: what was made of them is kept.
-TEST_F(MergeTest, ALedgerThatCannotBeReadDropsNobody) {
-  const std::string session = StoreSession(1);
-  Planned({session});
-  const fs::path made = ResultsOf(results_, session) / "fits" / "f1";
-  fs::create_directories(made);
-  const fs::path later = folder_ / "ledger" / "0123456789abcdef0123456789abcdef.jsonl";
-  const std::string said = R"({"schema":99,"kind":"sealing")";
-  fs::create_directories(later.parent_path());
-  WriteText(later, said + ",\"hash\":\"" + db::LedgerHash(said + "}") + "\"}\n");
-  EXPECT_EQ(Merge(results_, MergeMode::kKeep).status().code(), StatusCode::kNewerSchema);
-  EXPECT_TRUE(fs::exists(made));
-  fs::remove(later);
-  const auto outcome = Merge(results_, MergeMode::kKeep);
-  ASSERT_TRUE(outcome.ok()) << outcome.status().message();
-  EXPECT_EQ(outcome->dropped, 0);
-  EXPECT_THAT(outcome->missing, SizeIs(1));
-}
-
-// A shard that was run again behind the merge.
-TEST_F(MergeTest, WhatWasMadeAgainOfWhoIsMergedGoes) {
-  const std::string session = Fitted();
-  Planned({session});
-  ASSERT_TRUE(Merge(results_, MergeMode::kKeep).ok());
-  fs::create_directories(ResultsOf(results_, session) / "fits" / "f1");
-  const auto outcome = Merge(results_, MergeMode::kKeep);
-  ASSERT_TRUE(outcome.ok()) << outcome.status().message();
-  EXPECT_THAT(outcome->problems, IsEmpty());
 // What cannot be read for the moment, as on a network file system that fails, may be a fit that nobody else has.
 TEST_F(MergeTest, WhatCannotBeReadOfTheResultsIsNotRemoved) {
   const std::string first = StoreSession(1), second = Fitted();
@@ -184,6 +184,34 @@ TEST_F(MergeTest, AManifestThatCannotBeReadKeepsTheResults) {
   EXPECT_TRUE(Merge(results_, MergeMode::kClose).ok());
 }
 
+// Whether somebody was forgotten is not known for the moment: what was made of them is kept.
+TEST_F(MergeTest, ALedgerThatCannotBeReadDropsNobody) {
+  const std::string session = StoreSession(1);
+  Planned({session});
+  const fs::path made = ResultsOf(results_, session) / "fits" / "f1";
+  fs::create_directories(made);
+  const fs::path later = folder_ / "ledger" / "0123456789abcdef0123456789abcdef.jsonl";
+  const std::string said = R"({"schema":99,"kind":"sealing")";
+  fs::create_directories(later.parent_path());
+  WriteText(later, said + ",\"hash\":\"" + db::LedgerHash(said + "}") + "\"}\n");
+  EXPECT_EQ(Merge(results_, MergeMode::kKeep).status().code(), StatusCode::kNewerSchema);
+  EXPECT_TRUE(fs::exists(made));
+  fs::remove(later);
+  const auto outcome = Merge(results_, MergeMode::kKeep);
+  ASSERT_TRUE(outcome.ok()) << outcome.status().message();
+  EXPECT_EQ(outcome->dropped, 0);
+  EXPECT_THAT(outcome->missing, SizeIs(1));
+}
+
+// A shard that was run again behind the merge.
+TEST_F(MergeTest, WhatWasMadeAgainOfWhoIsMergedGoes) {
+  const std::string session = Fitted();
+  Planned({session});
+  ASSERT_TRUE(Merge(results_, MergeMode::kKeep).ok());
+  fs::create_directories(ResultsOf(results_, session) / "fits" / "f1");
+  const auto outcome = Merge(results_, MergeMode::kKeep);
+  ASSERT_TRUE(outcome.ok()) << outcome.status().message();
+  EXPECT_THAT(outcome->problems, IsEmpty());
   EXPECT_FALSE(fs::exists(ResultsOf(results_, session) / "fits"));
   EXPECT_TRUE(IsMerged(results_, session));
 }
