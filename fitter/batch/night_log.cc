@@ -46,6 +46,11 @@ void Read(const Json& json, const char* key, T& value) {
     value = json.at(key).get<T>();
 }
 
+bool IsThere(const fs::path& store, const std::string& session) {
+  std::error_code error;
+  return fs::exists(fs::symlink_status(store / "sessions" / session, error));
+}
+
 }  // namespace
 
 const char* ToString(NightEventKind kind) {
@@ -126,11 +131,13 @@ Status NightLog::Add(const NightEvent& event) {
   if (event.session.find('/') != std::string::npos || event.session.starts_with('.'))
     return Status::Usage("'" + event.session + "' is no session: what a night says stays in its folder");
   NightEvent said = event;
-  // A ledger that cannot be read for the moment ends no night: the line goes where a forgetting finds it.
+  // A ledger that cannot be read for the moment ends no night: the line goes where a forgetting finds it. Of whose
+  // session is gone, that may be over.
   const auto forgotten = db::IsForgotten(store_, event.session);
-  if (forgotten.ok() && *forgotten) {
+  const bool nameless = forgotten.ok() ? *forgotten : !IsThere(store_, event.session);
+  if (nameless && !event.session.empty()) {
     said.session = said.fit = "";
-    said.reason = "was forgotten";
+    said.reason = forgotten.ok() ? "was forgotten" : "is not there any more";
   }
   constexpr int kPrivate = 0640;
   const fs::path file = folder_ / ((said.session.empty() ? kNight : said.session) + kEnding);

@@ -58,7 +58,8 @@ class NightLog {
   // The night of that name, made where it is not there yet.
   [[nodiscard]] static Result<NightLog> Open(const std::filesystem::path& store, const std::string& name);
   // On the disk when it returns. Of a session that was forgotten meanwhile, only that somebody was; where that cannot
-  // be asked, it is written to the session's file, which a forgetting wipes. kUsage for what is no session.
+  // be asked, it is written to the session's file, which a forgetting wipes, and without a name if the session is not
+  // there: its forgetting may be over. kUsage for what is no session.
   Status Add(const NightEvent& event);
   // All that was said of a session: it was forgotten.
   Status Remove(const std::string& session);

@@ -6,8 +6,11 @@
 #include <sys/stat.h>
 
 #include "fitter/batch/night_status.h"
+#include "db/ledger/ledger_line.h"
+#include "db/privacy/forget.h"
 #include "tests/db/store_fixture.h"
 
+#include "tests/support/text_file.h"
 namespace stratalux::fit {
 namespace {
 
@@ -85,6 +88,29 @@ TEST_F(NightLogTest, AVisitorsLastWordCounts) {
 TEST_F(NightLogTest, AClockThatWasSetBackTurnsNoStoryAround) {
   auto log = NightLog::Begin(folder_);
   ASSERT_TRUE(log.ok());
+// A forgetting that is over wipes nothing more: what is written behind it, unasked, would stay.
+TEST_F(NightLogTest, WhoIsForgottenIsNotNamedThoughTheLedgerCannotBeRead) {
+  const std::string gone = StoreSession(1), stays = StoreSession(1);
+  auto log = NightLog::Begin(folder_);
+  ASSERT_TRUE(log.ok());
+  Logger quiet(LogLevel::kError);
+  db::ForgetRequest request;
+  request.sessions = {gone};
+  ASSERT_TRUE(db::Forget(folder_, request, quiet).ok());
+  const std::string said = R"({"schema":99,"kind":"sealing")";
+  WriteText(folder_ / "ledger" / "0123456789abcdef0123456789abcdef.jsonl",
+            said + ",\"hash\":\"" + db::LedgerHash(said + "}") + "\"}\n");
+  for (const std::string& session : {gone, stays})
+    ASSERT_TRUE(log->Add({.kind = NightEventKind::kDone, .session = session, .fit = "f-" + session}).ok());
+  for (const auto& entry : std::filesystem::directory_iterator(log->folder())) {
+    EXPECT_EQ(entry.path().string().find(gone), std::string::npos);
+    EXPECT_EQ(ReadText(entry.path()).find(gone), std::string::npos) << entry.path();
+  }
+  const NightStatus night = StatusOf(ReadNight(log->folder())->events);
+  EXPECT_EQ(night.Count(NightEventKind::kDone), 2);
+  EXPECT_TRUE(std::filesystem::exists(log->folder() / (stays + ".jsonl"))) << "of whose session is there";
+}
+
   constexpr int64_t kHour = 3'600'000'000'000;
   const WallNs late{1'800'000'000'000'000'000}, early{late.ns - kHour};
   ASSERT_TRUE(log->Add({.kind = NightEventKind::kBegan, .at = late, .count = 2}).ok());
