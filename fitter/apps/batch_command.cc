@@ -17,7 +17,6 @@
 #include "fitter/batch/morning_report.h"
 #include "fitter/batch/night_status.h"
 #include "fitter/batch/shard_plan.h"
-#include "fitter/batch/time_of_day.h"
 #include "fitter/batch/visit_cost.h"
 #include "fitter/pipeline/interruption.h"
 #include "shared/base/formatted.h"
@@ -34,7 +33,7 @@ namespace fs = std::filesystem;
 std::string Text(const Json& json) { return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n"; }
 
 Status PrintPlan(const BatchFlags& flags, Logger& logger) {
-  SLX_ASSIGN_OR_RETURN(NightOptions night, NightOf(flags));
+  SLX_ASSIGN_OR_RETURN(NightOptions night, NightOf(flags, std::time(nullptr)));
   if (!flags.out.empty()) night.choice.key = KeyHere::kNot;
   SLX_ASSIGN_OR_RETURN(const NightChoice choice, ChooseNight(night.choice, logger));
   SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(night.choice.run.store, db::AccessMode::kReadOnly));
@@ -85,14 +84,11 @@ Status PrintPlan(const BatchFlags& flags, Logger& logger) {
 }
 
 Status RunBatch(const BatchFlags& flags, Logger& logger) {
-  if (!flags.from.empty()) {
-    SLX_ASSIGN_OR_RETURN(const bool now, IsBetween(flags.from, flags.until, std::time(nullptr)));
-    if (!now) {
-      logger.Info("nobody is fitted: it is not between " + flags.from + " and " + flags.until + " (--from, --until)");
-      return Status::Ok();
-    }
-  }
-  SLX_ASSIGN_OR_RETURN(const NightOptions night, NightOf(flags));
+  // Asked once: between two looks --until may pass, and the next one is a day away.
+  const std::time_t now = std::time(nullptr);
+  SLX_ASSIGN_OR_RETURN(const bool is_time, IsTimeForANight(flags, now, logger));
+  if (!is_time) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(const NightOptions night, NightOf(flags, now));
   const InterruptionAsks asks;
   NightTeller teller(logger, flags);
   const auto heard = [&teller](const NightEvent& event) { teller.Hear(event); };
@@ -238,7 +234,8 @@ void AddBatchCommands(CLI::App& app, int& exit_code) {
   auto ran = std::make_shared<BatchFlags>();
   auto* run = batch->add_subcommand("run", "Fit them: until all are, or the time is up; prints where the report is");
   run->footer(
-      "A night that was stopped or killed is gone on with by the next one. Exit code 3: somebody could not be fitted.\n"
+      "A night that was stopped or killed is gone on with by the next one. Exit code 3: somebody could not be fitted,\n"
+      "or, outside of --from and --until, the night of that span failed or never began.\n"
       "Examples:\n"
       "  stratalux-fit batch run --store store --until 07:00\n"
       "  stratalux-fit batch run --store store --workers 4 --memory 12 --order oldest --most 300\n"
@@ -247,8 +244,7 @@ void AddBatchCommands(CLI::App& app, int& exit_code) {
   AddWorkers(*run, *ran);
   auto* until =
       run->add_option("--until", ran->until, "Time of day: nobody is begun who would not be finished by then");
-  run->add_option("--from", ran->from, "Time of day, with --until: outside of that span nobody is fitted, exit code 0")
-      ->needs(until);
+  AddFrom(*run, *ran, *until);
   AddAttempts(*run, *ran);
   OnCall(*run, exit_code, [ran](Logger& logger) { return RunBatch(*ran, logger); });
 

@@ -94,6 +94,13 @@ void AddAttempts(CLI::App& verb, BatchFlags& flags) {
       ->capture_default_str();
 }
 
+void AddFrom(CLI::App& verb, BatchFlags& flags, CLI::Option& until) {
+  verb.add_option("--from", flags.from,
+                  "Time of day, with --until: outside of that span nobody is fitted; exit code 0 if the last night "
+                  "went well, else 3")
+      ->needs(&until);
+}
+
 Result<fs::path> OwnProgram() {
   std::error_code error;
   fs::path program = fs::read_symlink("/proc/self/exe", error);
@@ -122,16 +129,26 @@ Result<ChoiceOptions> ChoiceOf(const BatchFlags& flags) {
   return choice;
 }
 
-Result<NightOptions> NightOf(const BatchFlags& flags) {
+Result<NightOptions> NightOf(const BatchFlags& flags, std::time_t now) {
   NightOptions night;
   SLX_ASSIGN_OR_RETURN(night.choice, ChoiceOf(flags));
   night.arguments = GivenArguments(flags.fit_options);
   SLX_RETURN_IF_ERROR(SetWorkers(flags, night));
   if (!flags.until.empty()) {
-    SLX_ASSIGN_OR_RETURN(const auto left, TimeUntil(flags.until, std::time(nullptr)));
+    SLX_ASSIGN_OR_RETURN(const auto left, TimeUntil(flags.until, now));
     night.deadline = std::chrono::steady_clock::now() + left;
   }
   return night;
+}
+
+Result<bool> IsTimeForANight(const BatchFlags& flags, std::time_t now, Logger& logger) {
+  if (flags.from.empty()) return true;
+  SLX_ASSIGN_OR_RETURN(const bool between, IsBetween(flags.from, flags.until, now));
+  if (between) return true;
+  logger.Info("nobody is fitted: it is not between " + flags.from + " and " + flags.until + " (--from, --until)");
+  SLX_ASSIGN_OR_RETURN(const std::chrono::seconds since, TimeSince(flags.from, now, "--from"));
+  SLX_RETURN_IF_ERROR(CheckNewestNight(flags.fit.run.store, {(int64_t{now} - since.count()) * kSecondNs}));
+  return false;
 }
 
 void NightTeller::Hear(const NightEvent& event) {

@@ -4,6 +4,7 @@
 
 #include <chrono>
 #include <cstdint>
+#include <ctime>
 #include <filesystem>
 #include <string>
 #include <vector>
@@ -40,14 +41,19 @@ void AddWorkers(CLI::App& verb, BatchFlags& flags);
 // Store, who is fitted, and how.
 void AddChoice(CLI::App& verb, BatchFlags& flags);
 void AddAttempts(CLI::App& verb, BatchFlags& flags);
+void AddFrom(CLI::App& verb, BatchFlags& flags, CLI::Option& until);
 // Program, number, threads, memory and patience of the workers.
 Status SetWorkers(const BatchFlags& flags, NightOptions& night);
 // The file of this program, which workers and tasks run.
 [[nodiscard]] Result<std::filesystem::path> OwnProgram();
 
 [[nodiscard]] Result<ChoiceOptions> ChoiceOf(const BatchFlags& flags);
-// A night as all of these options say.
-[[nodiscard]] Result<NightOptions> NightOf(const BatchFlags& flags);
+// A night as all of these options say, begun `now`.
+[[nodiscard]] Result<NightOptions> NightOf(const BatchFlags& flags, std::time_t now);
+// Whether `now` is between --from and --until, or there is no --from. Where it is not, nobody is begun, and the status
+// says how the last night went: kDegraded where none has begun since the last --from, or see CheckNewestNight(). A unit
+// that is begun again behind its span, or too late, does not look as if all were well.
+[[nodiscard]] Result<bool> IsTimeForANight(const BatchFlags& flags, std::time_t now, Logger& logger);
 
 // A line of JSON an event on stdout, or none; a sentence for people on stderr.
 class NightTeller {

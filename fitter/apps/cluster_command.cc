@@ -272,9 +272,12 @@ Status MergeAsItComes(const ClusterFlags& flags, std::chrono::seconds time, Logg
 
 Status Submit(const ClusterFlags& flags, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const SlurmOptions options, SlurmOf(flags));
+  const std::time_t now = std::time(nullptr);
+  SLX_ASSIGN_OR_RETURN(const bool is_time, IsTimeForANight(flags.batch, now, logger));
+  if (!is_time) return Status::Ok();
   std::chrono::seconds time{0};
   if (!flags.batch.until.empty()) {
-    SLX_ASSIGN_OR_RETURN(time, TimeUntil(flags.batch.until, std::time(nullptr)));
+    SLX_ASSIGN_OR_RETURN(time, TimeUntil(flags.batch.until, now));
   }
   SLX_ASSIGN_OR_RETURN(const ShardPlan plan, PlanToSubmit(flags, logger));
   auto jobs = ReadSlurmJobs(options.results);
@@ -388,7 +391,8 @@ void AddClusterCommands(CLI::App& batch, int& exit_code) {
   submit->add_flag("--ask-keys", submitted->ask_keys,
                    "Tasks ask for the keys of their visitors: `batch keys --answer` gives them");
   submit->add_option("--sbatch", submitted->directives, "An option of sbatch, too; as often as needed");
-  submit->add_option("--until", submitted->batch.until, "Time of day: stay, and merge what comes");
+  auto* until = submit->add_option("--until", submitted->batch.until, "Time of day: stay, and merge what comes");
+  AddFrom(*submit, submitted->batch, *until);
   submit->add_option("--every", submitted->every_s, "With --until: look so often, seconds")
       ->check(CLI::Range(0.1, 3600.0))
       ->capture_default_str();

@@ -476,6 +476,7 @@ Result<NightOutcome> Night::Run(const NightChoice& choice) {
     ended.reason = failed.message();
     if (const Status last = Tell(ended); !last.ok()) logger_.Debug(last.message());
     return failed;
+    ended.by_error = true;
   }
   SLX_RETURN_IF_ERROR(Tell(ended));
   return outcome_;

@@ -40,7 +40,7 @@ constexpr std::pair<NightEventKind, const char*> kKinds[] = {
 
 template <typename T>
 void Read(const Json& json, const char* key, T& value) {
-  if constexpr (std::integral<T>)
+  if constexpr (std::integral<T> && !std::same_as<T, bool>)
     value = WholeOr(json, key, value);
   else if (json.contains(key))
     value = json.at(key).get<T>();
@@ -84,6 +84,7 @@ std::string ToJson(const NightEvent& event) {
   if (!event.why.empty()) json["why"] = event.why;
   if (!event.reason.empty()) json["reason"] = event.reason;
   if (event.kind == NightEventKind::kBegan || event.kind == NightEventKind::kEnded) json["visitors"] = event.count;
+  if (event.by_error) json["by_error"] = true;
   return json.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 
@@ -108,6 +109,7 @@ Result<NightEvent> ParseNightEvent(const std::string& line) {
     Read(json, "why", event.why);
     Read(json, "reason", event.reason);
     Read(json, "visitors", event.count);
+    Read(json, "by_error", event.by_error);
     SLX_RETURN_IF_ERROR(CheckCost({event.cpu_seconds, event.peak_bytes}));
     SLX_RETURN_IF_ERROR(CheckSeconds(event.seconds));
     if (event.at.ns < 0) return Status::Integrity("an event at " + std::to_string(event.at.ns) + " ns");

@@ -42,6 +42,7 @@ struct NightEvent {
   std::string why = {};     // kLeftOut: its name (LeftOut)
   std::string reason = {};  // for people
   int64_t count = 0;        // kBegan: visitors chosen; kEnded: fitted
+  bool by_error = false;    // kEnded: an error ended it, the reason; it may have left visitors who could be fitted
 };
 
 [[nodiscard]] std::string ToJson(const NightEvent& event);

@@ -26,6 +26,7 @@ NightStatus StatusOf(const std::vector<NightEvent>& events) {
       case NightEventKind::kEnded:
         status.ended = event.at;
         status.end_reason = event.reason;
+        status.ended_by_error = event.by_error;
         break;
       case NightEventKind::kLeftOut:
         status.left_out.push_back(event);
@@ -52,6 +53,25 @@ NightStatus StatusOf(const std::vector<NightEvent>& events) {
     }
   }
   return status;
+}
+
+Status CheckNewestNight(const std::filesystem::path& store, WallNs since) {
+  const auto degraded = [](const std::string& why) { return Status(StatusCode::kDegraded, why); };
+  const std::string none = "no night has begun since " + ToIso8601(since);
+  const auto nights = Nights(store);
+  if (nights.empty()) return degraded(none);
+  const auto record = ReadNight(store / "nights" / nights.back());
+  if (!record.ok()) return degraded(record.status().message());
+  const NightStatus night = StatusOf(record->events);
+  // One that failed before it could say that it begins has an end alone.
+  const WallNs began = night.began.ns != 0 ? night.began : night.ended.value_or(WallNs{});
+  if (began < since) return degraded(none);
+  const std::string name = "the night of " + ToIso8601(began);
+  if (!night.ended) return degraded(name + " was cut off, or still runs");
+  if (night.ended_by_error) return degraded(name + " was ended by an error: " + night.end_reason);
+  if (const int failed = night.Count(NightEventKind::kFailed) + night.Count(NightEventKind::kSetAside); failed > 0)
+    return degraded(name + ": " + std::to_string(failed) + " visitors could not be fitted");
+  return Status::Ok();
 }
 
 }  // namespace stratalux::fit

@@ -2,6 +2,7 @@
 // How far a night is, out of its log: for `batch status`, `batch watch` and the morning report.
 #pragma once
 
+#include <filesystem>
 #include <map>
 #include <optional>
 #include <string>
@@ -26,6 +27,7 @@ struct NightStatus {
   WallNs began = {};
   std::optional<WallNs> ended = {};
   std::string end_reason = {};
+  bool ended_by_error = false;
   int64_t chosen = 0;
   std::vector<NightVisit> visits;  // in the order of their first start
   std::vector<NightEvent> left_out;
@@ -35,5 +37,9 @@ struct NightStatus {
 };
 
 [[nodiscard]] NightStatus StatusOf(const std::vector<NightEvent>& events);
+
+// kDegraded, saying why, where the newest night of the store did not begin at `since` or later, has not ended, was
+// ended by an error, left somebody who could not be fitted, or cannot be read.
+[[nodiscard]] Status CheckNewestNight(const std::filesystem::path& store, WallNs since);
 
 }  // namespace stratalux::fit

@@ -57,15 +57,6 @@ class BatchNight : public SmallFit {
       compared += artifact.path().filename().string().starts_with("compare-") ? 1 : 0;
     return compared;
   }
-  // A time of day.
-  static std::string InHours(int hours) {
-    const std::time_t then = std::time(nullptr) + int64_t{3600} * hours;
-    std::tm local{};
-    localtime_r(&then, &local);
-    char text[8];
-    std::strftime(text, sizeof text, "%H:%M", &local);
-    return text;
-  }
   static pid_t AWorkerOf(pid_t batch) {
     std::ifstream file("/proc/" + std::to_string(batch) + "/task/" + std::to_string(batch) + "/children");
     pid_t worker = 0;
@@ -180,16 +171,43 @@ TEST_F(BatchNight, WhoCannotBeFittedIsNamedAndTheRestGoesOn) {
   EXPECT_THAT(text.out, HasSubstr(sessions[1].filename().string() + "  key"));
 }
 
+// As a unit that is begun again when its span is over: nothing is done, and the exit code says how the night went.
+TEST_F(BatchNight, OutsideOfItsSpanItSaysHowTheNightWent) {
+  const fs::path store = Captured("span");
+  const auto outside = [&] {
+    return Execute("stratalux-fit batch run --from " + InHours(2) + " --until " + InHours(4) + " --store " +
+                   store.string());
+  };
+  const auto night = [&](const std::string& name, int hours_ago, const std::string& end) {
+    const std::string at = std::to_string((std::time(nullptr) - int64_t{3600} * hours_ago) * 1'000'000'000);
+    fs::create_directories(store / "nights" / name);
+    WriteText(store / "nights" / name / "night.jsonl", R"({"event":"began","visitors":1,"at_ns":)" + at + "}\n" +
+                                                           R"({"event":"ended","visitors":0,"at_ns":)" + at + end +
+                                                           "}\n");
+  };
+  const Outcome never = outside();
+  EXPECT_EQ(never.code, 3);
+  EXPECT_THAT(never.out, HasSubstr("nobody is fitted: it is not between"));
+  EXPECT_THAT(never.out, HasSubstr("no night has begun since"));
+  EXPECT_FALSE(fs::exists(store / "nights"));
+  night("1", 23, "");
+  EXPECT_EQ(outside().code, 3) << "of the day before";
+  night("2", 2, "");
+  const Outcome clean = outside();
+  EXPECT_EQ(clean.code, 0) << clean.out;
+  night("3", 1, R"(,"reason":"No space left on device","by_error":true)");
+  const Outcome failed = outside();
+  EXPECT_EQ(failed.code, 3);
+  EXPECT_THAT(failed.out, HasSubstr("No space left on device"));
+  for (const fs::path& session : Sessions(store)) EXPECT_FALSE(fs::exists(session / "fits"));
+}
+
 TEST_F(BatchNight, BadWordsAreNamed) {
   const fs::path store = Captured("words");
   const std::string batch = "stratalux-fit batch ", in = " --store " + store.string();
   EXPECT_THAT(Execute(batch + "run --until 25:00" + in).out, HasSubstr("--until 25:00: a time of day"));
   EXPECT_EQ(Execute(batch + "run --until 7" + in).code, 2);
   EXPECT_EQ(Execute(batch + "run --from 20:00" + in).code, 2);
-  // A span that is hours away: nothing is done, and that is no failure.
-  const Outcome outside = Execute(batch + "run --from " + InHours(2) + " --until " + InHours(4) + in);
-  EXPECT_EQ(outside.code, 0);
-  EXPECT_THAT(outside.out, HasSubstr("nobody is fitted: it is not between"));
   EXPECT_EQ(Execute(batch + "run --workers 2 --layers 99" + in).code, 2);
   EXPECT_EQ(Execute(batch + "status" + in).code, 4);
   EXPECT_THAT(Execute(batch + "report" + in).out, HasSubstr("has had no night"));

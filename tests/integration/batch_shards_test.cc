@@ -2,7 +2,7 @@
 // `stratalux-fit batch shard` and `merge` as their user runs them: a night on machines that see the sealed sessions and
 // nothing else of the store, whatever is lost, killed or run twice.
 #include <csignal>
-#include <ctime>
+#include <cstdlib>
 #include <fstream>
 #include <optional>
 #include <sstream>
@@ -274,16 +274,11 @@ TEST_F(BatchShards, AMergeThatIsKilledAnywhereIsFinishedByTheNext) {
 TEST_F(BatchShards, AMergeByHandDoesNotEndTheNightsSubmit) {
   const fs::path store = FittedByShards();
   WriteText(results_ / "slurm.json", R"({"schema": 1, "shards": 2, "jobs": ["1"]})");
-  const std::time_t later = std::time(nullptr) + 3600;
-  std::tm local{};
-  localtime_r(&later, &local);
-  char until[8];
-  std::strftime(until, sizeof until, "%H:%M", &local);
   auto by_hand = std::make_optional(db::FileLock::TryTake(results_ / ".merge.lock", "busy"));
   ASSERT_TRUE(by_hand->ok());
   const fs::path log = folder_ / "submit.log";
   Running submit({"stratalux-fit", "batch", "submit", "--engine", "slurm", "--again", "--store", store.string(),
-                  "--results", results_.string(), "--until", until, "--every", "0.2"},
+                  "--results", results_.string(), "--until", InHours(1), "--every", "0.2"},
                  log);
   while (ReadText(log).find("is running") == std::string::npos && !submit.WaitFor(milliseconds(20))) continue;
   EXPECT_FALSE(submit.WaitFor(milliseconds(1000))) << ReadText(log);
@@ -292,6 +287,24 @@ TEST_F(BatchShards, AMergeByHandDoesNotEndTheNightsSubmit) {
   EXPECT_EQ(outcome.code, 0) << outcome.out;
   EXPECT_THAT(outcome.out, HasSubstr("3 fits entered"));
   for (const std::string& session : sessions_) EXPECT_NE(Layers(store / "sessions" / session), "") << session;
+}
+
+// Begun too late, as behind a pull of a whole night: it would stay until the next day's --until.
+TEST_F(BatchShards, OutsideOfItsSpanNobodyIsSubmitted) {
+  const fs::path store = Fitted("span"), called = folder_ / "called", results = folder_ / "r";
+  ASSERT_EQ(Capture(store).code, 0);  // how long a visitor takes is known, and somebody is not fitted yet
+  fs::create_directories(folder_ / "bin");
+  WriteText(folder_ / "bin" / "sbatch", "#!/bin/sh\ntouch " + called.string() + "\n");
+  fs::permissions(folder_ / "bin" / "sbatch", fs::perms::owner_all);
+  const Outcome outcome =
+      Running({"stratalux-fit", "batch", "submit", "--engine", "slurm", "--store", store.string(), "--results",
+               results.string(), "--from", InHours(2), "--until", InHours(4)},
+              folder_ / "submit.log", {"PATH=" + (folder_ / "bin").string() + ":" + std::getenv("PATH")})
+          .Wait();
+  EXPECT_EQ(outcome.code, 3) << outcome.out;
+  EXPECT_THAT(outcome.out, HasSubstr("nobody is fitted: it is not between"));
+  EXPECT_FALSE(fs::exists(results));
+  EXPECT_FALSE(fs::exists(called));
 }
 
 TEST_F(BatchShards, BadWordsAreNamed) {

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cstdlib>
+#include <ctime>
 #include <sstream>
 #include <thread>
 
@@ -92,6 +93,15 @@ int Kills() {
 uint64_t Seed() {
   const char* text = std::getenv("STRATALUX_SEED");
   return text == nullptr ? 1 : std::strtoull(text, nullptr, 10);
+}
+
+std::string InHours(int hours) {
+  const std::time_t then = std::time(nullptr) + int64_t{3600} * hours;
+  std::tm local{};
+  localtime_r(&then, &local);
+  char text[8];
+  std::strftime(text, sizeof text, "%H:%M", &local);
+  return text;
 }
 
 std::vector<std::string> DiesAt(const fs::path& store, int64_t call) {

@@ -97,6 +97,8 @@ inline constexpr int64_t kNever = 1'000'000'000;  // a file call that no run com
 [[nodiscard]] int Kills();
 // STRATALUX_SEED, or 1.
 [[nodiscard]] uint64_t Seed();
+// A time of day, such as "07:00", that many hours from now.
+[[nodiscard]] std::string InHours(int hours);
 // The fault layer over a store: SIGKILL before the file call of that number. Syncs are not waited for.
 [[nodiscard]] std::vector<std::string> DiesAt(const std::filesystem::path& store, int64_t call);
 

@@ -82,6 +82,8 @@ programs() {
   # systemd 252 leaves a timer waiting for ever whose unit's Condition did not hold: it is not begun, so it does not end.
   for timer in "$scratch"/usr/lib/systemd/system/*.timer; do
     ! grep -E '^(Condition|Assert)' "${timer%.timer}.service" || fail "${timer%.timer}.service: a timer's unit asks by ExecCondition="
+    # Begun behind that time, by Restart= or a slow pull, it would go on until the next day's.
+    ! grep -E '^ExecStart=.* --until ' "${timer%.timer}.service" | grep -v -- ' --from ' || fail "${timer%.timer}.service: --until without --from"
   done
   echo "$count commands, all known"
 }

@@ -3,16 +3,19 @@
 
 #include <fstream>
 
+#include <gmock/gmock.h>
 #include <sys/stat.h>
 
-#include "fitter/batch/night_status.h"
 #include "db/ledger/ledger_line.h"
 #include "db/privacy/forget.h"
+#include "fitter/batch/night_status.h"
 #include "tests/db/store_fixture.h"
-
 #include "tests/support/text_file.h"
+
 namespace stratalux::fit {
 namespace {
+
+using ::testing::HasSubstr;
 
 class NightLogTest : public db::StoreTest {};
 
@@ -85,9 +88,6 @@ TEST_F(NightLogTest, AVisitorsLastWordCounts) {
   EXPECT_FALSE(night.ended);
 }
 
-TEST_F(NightLogTest, AClockThatWasSetBackTurnsNoStoryAround) {
-  auto log = NightLog::Begin(folder_);
-  ASSERT_TRUE(log.ok());
 // A forgetting that is over wipes nothing more: what is written behind it, unasked, would stay.
 TEST_F(NightLogTest, WhoIsForgottenIsNotNamedThoughTheLedgerCannotBeRead) {
   const std::string gone = StoreSession(1), stays = StoreSession(1);
@@ -111,6 +111,9 @@ TEST_F(NightLogTest, WhoIsForgottenIsNotNamedThoughTheLedgerCannotBeRead) {
   EXPECT_TRUE(std::filesystem::exists(log->folder() / (stays + ".jsonl"))) << "of whose session is there";
 }
 
+TEST_F(NightLogTest, AClockThatWasSetBackTurnsNoStoryAround) {
+  auto log = NightLog::Begin(folder_);
+  ASSERT_TRUE(log.ok());
   constexpr int64_t kHour = 3'600'000'000'000;
   const WallNs late{1'800'000'000'000'000'000}, early{late.ns - kHour};
   ASSERT_TRUE(log->Add({.kind = NightEventKind::kBegan, .at = late, .count = 2}).ok());
@@ -123,6 +126,38 @@ TEST_F(NightLogTest, WhoIsForgottenIsNotNamedThoughTheLedgerCannotBeRead) {
   ASSERT_EQ(night.visits.size(), 2U);
   EXPECT_EQ(night.visits[0].session, "s1");
   EXPECT_EQ(night.Count(NightEventKind::kDone), 2);
+}
+
+// What a unit asks that is begun again when the night is over.
+TEST_F(NightLogTest, ANightThatFailedOrNeverBeganIsToldByTheNextOne) {
+  const WallNs since{1'800'000'000'000'000'000}, before{since.ns - 1}, later{since.ns + 1};
+  int nights = 0;
+  const auto check = [&](const std::vector<NightEvent>& events) {
+    auto log = NightLog::Open(folder_, std::to_string(nights++));
+    EXPECT_TRUE(log.ok());
+    for (const NightEvent& event : events) EXPECT_TRUE(log->Add(event).ok());
+    const Status status = CheckNewestNight(folder_, since);
+    EXPECT_TRUE(status.ok() || status.code() == StatusCode::kDegraded) << status.message();
+    return status.message();
+  };
+  EXPECT_EQ(CheckNewestNight(folder_, since).code(), StatusCode::kDegraded) << "there was none";
+  const NightEvent began{.kind = NightEventKind::kBegan, .at = since, .count = 1};
+  const NightEvent done{.kind = NightEventKind::kDone, .at = since, .session = "s1"};
+  const NightEvent ended{.kind = NightEventKind::kEnded, .at = later, .reason = "stopped"};
+  EXPECT_EQ(check({began, done, ended}), "");
+  EXPECT_THAT(check({{.kind = NightEventKind::kBegan, .at = before}, done, ended}),
+              HasSubstr("no night has begun since"));
+  EXPECT_THAT(check({began, done}), HasSubstr("was cut off"));
+  NightEvent failed = ended;
+  failed.reason = "no space left";
+  failed.by_error = true;
+  EXPECT_THAT(check({began, done, failed}), HasSubstr("ended by an error: no space left"));
+  EXPECT_THAT(check({failed}), HasSubstr("ended by an error")) << "before it began";
+  EXPECT_THAT(check({}), HasSubstr("no night has begun"));
+  for (const NightEventKind kind : {NightEventKind::kFailed, NightEventKind::kSetAside})
+    EXPECT_THAT(check({began, {.kind = kind, .at = since, .session = "s1"}, ended}),
+                HasSubstr("1 visitors could not be fitted"));
+  EXPECT_EQ(check({began, ended}), "") << "the newest counts";
 }
 
 TEST_F(NightLogTest, EachWhoWasForgottenCounts) {

@@ -382,6 +382,7 @@ TEST_F(NightTest, ANightThatCannotGoOnSaysSo) {
   night_ = StatusOf(ReadNight(night)->events);
   EXPECT_TRUE(night_.ended);
   EXPECT_THAT(night_.end_reason, HasSubstr(sessions_[0] + ".jsonl"));
+  EXPECT_TRUE(night_.ended_by_error);
   EXPECT_EQ(VisitOf(sessions_[1]).kind, NightEventKind::kReleased);
   EXPECT_EQ(JobOf(sessions_[1]).attempts, 0);
 }
@@ -584,6 +585,7 @@ TEST_F(NightTest, WhoeverIsKilledEverybodyIsFittedInTheEnd) {
     if (night == 0) {
       Run();
       _exit(0);
+  EXPECT_FALSE(night_.ended_by_error);
     }
     std::this_thread::sleep_for(milliseconds(kill_after_ms));
     kill(night, SIGKILL);

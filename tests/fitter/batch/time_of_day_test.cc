@@ -54,6 +54,17 @@ TEST_F(TimeOfDay, ComesWhereTheClockIsSetForSummerAndWinter) {
   EXPECT_EQ(TimeUntil("07:00", At(10, 24, 20, 0)).value(), 12h);
 }
 
+TEST_F(TimeOfDay, WasLastTodayOrYesterday) {
+  const auto since = [](std::time_t now) { return TimeSince("20:00", now, "--from").value(); };
+  EXPECT_EQ(since(At(5, 15, 7, 5)), 11h + 5min);
+  EXPECT_EQ(since(At(5, 15, 20, 0)), 0s);
+  EXPECT_EQ(since(At(5, 15, 19, 59, 59)), 23h + 59min + 59s);
+  EXPECT_EQ(since(At(1, 1, 7, 0)), 11h);
+  EXPECT_EQ(since(At(3, 29, 7, 0)), 10h);
+  EXPECT_EQ(since(At(10, 25, 7, 0)), 12h);
+  EXPECT_EQ(TimeSince("x", 0, "--from").status().message(), "--from x: a time of day, such as 07:00");
+}
+
 TEST_F(TimeOfDay, IsNothingElse) {
   for (const char* text : {"", "7", "24:00", "07:60", "-1:00", "07:00 ", "07:00x", "soon"}) {
     EXPECT_EQ(TimeUntil(text, At(5, 14, 20, 0)).status().code(), StatusCode::kUsage) << text;
