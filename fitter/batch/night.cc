@@ -167,7 +167,9 @@ Status Night::Enqueue(const NightChoice& choice) {
   NightEvent began{.kind = NightEventKind::kBegan, .count = static_cast<int64_t>(chosen.size())};
   SLX_RETURN_IF_ERROR(Tell(began));
   for (const LeftOutVisit& visit : left_out) SLX_RETURN_IF_ERROR(Tell(EventOf(visit)));
-  return CloseWhoIsFitted();
+  // Theirs alone: they wait on, and the next night closes them.
+  if (const Status closed = CloseWhoIsFitted(); !closed.ok()) logger_.Warning(closed.message());
+  return Status::Ok();
 }
 
 // A night that was killed behind the entry of a fit left its job waiting, and nobody chooses who is fitted.
@@ -463,8 +465,8 @@ Status Night::Work() {
 }
 
 Result<NightOutcome> Night::Run(const NightChoice& choice) {
-  SLX_RETURN_IF_ERROR(Enqueue(choice));
-  const Status worked = Work();
+  Status worked = Enqueue(choice);
+  if (worked.ok()) worked = Work();
   // What ends the night, such as a full disk, costs nobody an attempt.
   const Status given_back = GiveBack();
   const Status told = TellWhoWasSetAside();
@@ -474,9 +476,9 @@ Result<NightOutcome> Night::Run(const NightChoice& choice) {
   for (const Status& failed : {worked, given_back, told}) {
     if (failed.ok()) continue;
     ended.reason = failed.message();
+    ended.by_error = true;
     if (const Status last = Tell(ended); !last.ok()) logger_.Debug(last.message());
     return failed;
-    ended.by_error = true;
   }
   SLX_RETURN_IF_ERROR(Tell(ended));
   return outcome_;

@@ -16,6 +16,7 @@
 #include "db/catalogue/consent.h"
 #include "db/catalogue/deletions.h"
 #include "db/catalogue/job_store.h"
+#include "db/catalogue/session_index.h"
 #include "db/ledger/ledger_line.h"
 #include "db/privacy/forget.h"
 #include "fitter/batch/night_status.h"
@@ -381,10 +382,46 @@ TEST_F(NightTest, ANightThatCannotGoOnSaysSo) {
   std::filesystem::remove(night / (sessions_[0] + ".jsonl"));
   night_ = StatusOf(ReadNight(night)->events);
   EXPECT_TRUE(night_.ended);
-  EXPECT_THAT(night_.end_reason, HasSubstr(sessions_[0] + ".jsonl"));
   EXPECT_TRUE(night_.ended_by_error);
+  EXPECT_THAT(night_.end_reason, HasSubstr(sessions_[0] + ".jsonl"));
   EXPECT_EQ(VisitOf(sessions_[1]).kind, NightEventKind::kReleased);
   EXPECT_EQ(JobOf(sessions_[1]).attempts, 0);
+}
+
+// Before anybody is begun, too.
+TEST_F(NightTest, ANightThatCannotBeginSaysSo) {
+  Visitors(1);
+  Workers("");
+  choice_.left_out = {{"../no-session", LeftOut::kConsent, "withdrawn"}};
+  Logger quiet(LogLevel::kError);
+  const auto outcome = RunNight(options_, choice_, -1, {}, quiet);
+  EXPECT_EQ(outcome.status().code(), StatusCode::kUsage) << outcome.status().message();
+  night_ = StatusOf(ReadNight(folder_ / "nights" / Nights(folder_).front())->events);
+  EXPECT_TRUE(night_.ended);
+  EXPECT_TRUE(night_.ended_by_error);
+  EXPECT_EQ(night_.end_reason, outcome.status().message());
+  EXPECT_EQ(Lines(sessions_[0], ".begun"), 0);
+  EXPECT_EQ(JobOf(sessions_[0]).attempts, 0);
+}
+
+// Whose fit is entered, and whose job another night left: its end is no business of tonight's visitors.
+TEST_F(NightTest, AJobThatCannotBeClosedEndsNoNight) {
+  Visitors(1);
+  Workers("");
+  const std::string earlier = StoreSession(1);
+  auto jobs = db::JobStore::Open(folder_);
+  ASSERT_TRUE(jobs.ok());
+  ASSERT_TRUE(jobs->Enqueue({JobKey({earlier, "other", 1000}), "fit", earlier,
+                             R"({"arguments": [], "fit": "other", "sites": 1000})"})
+                  .ok());
+  const auto heard = [&](const NightEvent& event) {
+    if (event.kind != NightEventKind::kBegan) return;
+    auto index = db::SessionIndex::Open(folder_, db::AccessMode::kReadWrite);
+    ASSERT_TRUE(index.ok());
+    ASSERT_TRUE(index->connection().Execute("ALTER TABLE fits RENAME COLUMN id TO no_id").ok());
+  };
+  EXPECT_EQ(Run(-1, heard).fitted, 1);
+  EXPECT_EQ(StateOf(earlier), db::JobState::kQueued);
 }
 
 TEST_F(NightTest, WhoseWorkerCannotBeBegunHasFailedAndIsTold) {
@@ -548,6 +585,7 @@ TEST_F(NightTest, AStopGivesBackWhoRunsAndCountsNoAttempt) {
   });
   close(stop);
   EXPECT_TRUE(outcome.stopped);
+  EXPECT_FALSE(night_.ended_by_error);
   EXPECT_EQ(VisitOf(sessions_[0]).kind, NightEventKind::kReleased);
   WriteText(work_ / "go", "");
   options_.attempts = 1;
@@ -585,7 +623,6 @@ TEST_F(NightTest, WhoeverIsKilledEverybodyIsFittedInTheEnd) {
     if (night == 0) {
       Run();
       _exit(0);
-  EXPECT_FALSE(night_.ended_by_error);
     }
     std::this_thread::sleep_for(milliseconds(kill_after_ms));
     kill(night, SIGKILL);
