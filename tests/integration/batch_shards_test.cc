@@ -289,6 +289,31 @@ TEST_F(BatchShards, AMergeByHandDoesNotEndTheNightsSubmit) {
   for (const std::string& session : sessions_) EXPECT_NE(Layers(store / "sessions" / session), "") << session;
 }
 
+// No manifest changes when it can be read again, and yet there is something to merge.
+TEST_F(BatchShards, WhatCannotBeReadForAWhileIsMergedByTheNightsSubmit) {
+  const fs::path store = FittedByShards(), log = folder_ / "submit.log";
+  WriteText(results_ / "slurm.json", R"({"schema": 1, "shards": 2, "jobs": ["1"]})");
+  const fs::path record = fs::directory_iterator(results_ / "sessions" / sessions_[0] / "fits")->path() / "fit.json";
+  const std::string text = ReadText(record);
+  fs::remove(record);
+  fs::create_directory(record);
+  Running submit({"stratalux-fit", "batch", "submit", "--engine", "slurm", "--again", "--store", store.string(),
+                  "--results", results_.string(), "--until", InHours(1), "--every", "0.2"},
+                 log);
+  const std::string problem = "cannot read " + record.string();
+  while (ReadText(log).find(problem) == std::string::npos && !submit.WaitFor(milliseconds(20))) continue;
+  EXPECT_FALSE(submit.WaitFor(milliseconds(1000))) << ReadText(log);
+  fs::remove(record);
+  WriteText(record, text);
+  const bool by_itself = submit.WaitFor(milliseconds(60'000));
+  EXPECT_TRUE(by_itself) << "merged only as it was told to stop";
+  if (!by_itself) submit.Send(SIGTERM);
+  const Outcome outcome = submit.Wait();
+  EXPECT_EQ(outcome.code, 0) << outcome.out;
+  EXPECT_EQ(outcome.out.find(problem), outcome.out.rfind(problem)) << "said more than once\n" << outcome.out;
+  for (const std::string& session : sessions_) EXPECT_NE(Layers(store / "sessions" / session), "") << session;
+}
+
 // Begun too late, as behind a pull of a whole night: it would stay until the next day's --until.
 TEST_F(BatchShards, OutsideOfItsSpanNobodyIsSubmitted) {
   const fs::path store = Fitted("span"), called = folder_ / "called", results = folder_ / "r";
