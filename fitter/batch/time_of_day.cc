@@ -4,7 +4,6 @@
 #include <cstdio>
 
 namespace stratalux::fit {
-
 namespace {
 
 struct TimeOfDay {
