@@ -94,11 +94,11 @@ TEST_F(ForgetHalves, ASearchThatIsEndedCertifiesNothingAndIsMadeAgain) {
     EXPECT_EQ(proof->Search(quiet, [&reads] { return ++reads < 3; }).code(), StatusCode::kTryAgain);
     EXPECT_EQ(reads, 3);
   }
-  EXPECT_THAT(UnfinishedForgets(folder_), ::testing::ElementsAre(id));
+  EXPECT_THAT(*UnfinishedForgets(folder_), ::testing::ElementsAre(id));
   auto first = BeginForget(folder_, {}), second = BeginForget(folder_, {});
   for (auto* proof : {&first, &second}) ASSERT_TRUE(proof->ok() && (*proof)->Search(quiet).ok());
   EXPECT_EQ(first->Certify()->sessions.size(), 1U);
-  EXPECT_THAT(UnfinishedForgets(folder_), IsEmpty());
+  EXPECT_THAT(*UnfinishedForgets(folder_), IsEmpty());
   auto late = BeginForget(folder_, {});
   ASSERT_TRUE(late.ok() && late->Search(quiet).ok());
   EXPECT_THAT(late->Certify()->sessions, IsEmpty()) << "certified already";
@@ -141,7 +141,7 @@ TEST_F(ForgetHalves, AProofIncludesWhatWaited) {
   const auto report = first->Certify();
   ASSERT_TRUE(report.ok());
   EXPECT_EQ(report->sessions.size(), 2U);
-  EXPECT_THAT(UnfinishedForgets(folder_), IsEmpty());
+  EXPECT_THAT(*UnfinishedForgets(folder_), IsEmpty());
   EXPECT_EQ(CertificateOf(id)["verification"]["clean"], true);
   EXPECT_EQ(CertificateOf(other)["verification"]["clean"], true);
   ExpectGone(traces, kVisitor);
