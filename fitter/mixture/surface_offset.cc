@@ -23,9 +23,10 @@ constexpr int64_t kPixelsOfSearch = 512;
 // Enough for a hundredth.
 constexpr int64_t kPixels = 2048;
 constexpr int64_t kLeastPixels = 100;
-// Parts of the face that are taken to err independently, mm across; of what is smaller than a face a quarter of its
-// extent.
-constexpr double kPart = 20.0, kLeastPartsAcross = 4.0;
+// Parts of the face that are taken to err independently, mm across.
+constexpr double kPart = 20.0;
+// Something smaller than that many parts is divided into that many.
+constexpr double kLeastPartsAcross = 4.0;
 
 // Pixels that at least two projectors light, every so many of the image's rows and columns.
 std::vector<int64_t> PixelsOf(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors, int width,
