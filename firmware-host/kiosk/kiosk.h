@@ -50,7 +50,8 @@ struct KioskReport {
 
 // Until an operator's stop (StopToken, the front's Shutdown): then no capture runs, all lights are off, and what was to
 // be forgotten is gone; a search for what might be left of it that is not finished is made after the next start.
-// kFailed where that could not be. `station` was opened with `stop`.
+// kFailed where that could not be. `station` was opened with `stop`. The program is the kiosk's: what its threads
+// allocate lies in one arena from then on (mallopt).
 [[nodiscard]] Result<KioskReport> RunKiosk(CaptureStation& station, const KioskOptions& options, KioskFront& front,
                                            StopToken& stop, Logger& logger);
 
