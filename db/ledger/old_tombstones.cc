@@ -72,10 +72,7 @@ Status EmptyFolder(const fs::path& store, const fs::path& folder) {
   return SyncFolder(store);
 }
 
-Result<bool> HasStrays(const fs::path& folder) {
-  SLX_ASSIGN_OR_RETURN(const auto files, EntriesOf(folder));
-  return std::any_of(files.begin(), files.end(), IsStray);
-}
+bool IsTombstone(const fs::path& file) { return file.extension() == ".json" || file.extension() == ".forgetting"; }
 
 }  // namespace
 
@@ -93,9 +90,8 @@ Status TakeOverOldTombstones(const fs::path& store, const TombstoneMoments& mome
   const fs::path folder = store / "deletions";
   std::error_code error;
   if (!fs::is_directory(folder, error)) return Status::Ok();
-  SLX_ASSIGN_OR_RETURN(const auto found, ReadOldTombstones(store));
-  SLX_ASSIGN_OR_RETURN(const bool strays, HasStrays(folder));
-  if (found.empty() && !strays) {
+  SLX_ASSIGN_OR_RETURN(const auto files, EntriesOf(folder));
+  if (std::none_of(files.begin(), files.end(), [](const fs::path& f) { return IsTombstone(f) || IsStray(f); })) {
     fs::remove(folder, error);  // an empty one
     return Status::Ok();
   }

@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 
 #include "db/base/durable_file.h"
+#include "db/base/listing.h"
 #include "db/base/own_hash.h"
 #include "db/base/paths.h"
 #include "db/catalogue/artifact_record.h"
@@ -76,15 +77,11 @@ fs::path ManifestFile(const fs::path& results, const Shard& shard) {
 }
 
 Result<std::vector<fs::path>> ManifestFiles(const fs::path& results) {
-  std::vector<fs::path> files;
-  std::error_code error;
-  for (fs::directory_iterator at(results, error), end; !error && at != end; at.increment(error)) {
-    const std::string name = at->path().filename().string();
-    if (name.starts_with(kBegin) && name.ends_with(".json")) files.push_back(at->path());
-  }
-  if (error && error != std::errc::no_such_file_or_directory)
-    return Status::Failed("cannot list " + results.string() + ": " + error.message());
-  std::sort(files.begin(), files.end());
+  SLX_ASSIGN_OR_RETURN(auto files, db::EntriesOf(results));
+  std::erase_if(files, [](const fs::path& file) {
+    const std::string name = file.filename().string();
+    return !name.starts_with(kBegin) || !name.ends_with(".json");
+  });
   return files;
 }
 
