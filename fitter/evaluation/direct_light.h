@@ -28,9 +28,8 @@ struct HeldOutLight {
 }
 
 // As a reflectance of the surface itself, W x H x C on quads; NaN where unknown, and where the projector does not reach
-// it
-// (`lit`). Noise of the direct image is shrunk towards the neighbours; a quad whose sinusoids tell nothing (saturated,
-// negative) has their mean.
+// it (`lit`). Noise of the direct image is shrunk towards the neighbours; a quad whose sinusoids tell nothing
+// (saturated, negative) has their mean.
 [[nodiscard]] Image<float> DirectReflectance(const HeldOutLight& light, const SurfaceMap& surface,
                                              ImageView<const uint8_t> lit, const SeparationMap& separation);
 // The share of it of the model's layers beside a surface of `reflectance` (W x H x C), in the same unit; NaN where

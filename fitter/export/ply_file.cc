@@ -79,8 +79,7 @@ Status WritePly(const std::filesystem::path& file, const PointCloud& cloud, cons
   }
   const std::string comment =
       "comment cov_*: covariance of the position in mm^2; normal_sigma_rad: of the normal by light alone, not of nx ny "
-      "nz; NaN where "
-      "it is not known\n";
+      "nz; NaN where it is not known\n";
   return WriteBytes(file,
                     HeaderOf(origin, comment, cloud.positions_mm.size()) + Properties("float", {"normal_sigma_rad"}) +
                         Properties("float", {"cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz"}) +

@@ -66,8 +66,7 @@ ReportSection Shape(const ReportInput& in) {
       "Shape",
       "Depth from all projectors together; normals of the surface, of photometric stereo, and two for rendering: the "
       "specular normal, the surface's with photometric detail, by which the surface itself mirrors, and the diffuse "
-      "one, "
-      "filtered by how far the layers spread light, which light that scattered follows.",
+      "one, filtered by how far the layers spread light, which light that scattered follows.",
       {},
       {},
       {}};
