@@ -79,6 +79,11 @@ TEST(OutliersOf, AreFarFromTheStoresOwnFits) {
   EXPECT_THAT(OutliersOf("s", {{"e", 50.0}}, earlier), IsEmpty()) << "too few to say";
 }
 
+void AddNow(NightLog& log, NightEvent event) {
+  event.at = WallNow();
+  ASSERT_TRUE(log.Add(event).ok());
+}
+
 class MorningReportTest : public db::StoreTest {
  protected:
   std::string Fitted(double error, WallNs at) {
@@ -99,31 +104,29 @@ TEST_F(MorningReportTest, SaysWhoWasFittedWhoNotWhoIsStrangeAndHowLongTheDiskLas
   auto log = NightLog::Begin(folder_);
   ASSERT_TRUE(log.ok());
   const std::string good = Fitted(0.0401, WallNow()), strange = Fitted(0.09, WallNow()), bad = StoreSession(1);
-  const auto add = [&](NightEvent event) {
-    event.at = WallNow();
-    ASSERT_TRUE(log->Add(event).ok());
-  };
-  add({.kind = NightEventKind::kBegan, .count = 3});
+  AddNow(*log, {.kind = NightEventKind::kBegan, .count = 3});
   // As of a time before its fits.
   NightEvent began{.kind = NightEventKind::kBegan, .at = {before.ns + 1}, .count = 3};
   ASSERT_TRUE(log->Add(began).ok());
-  add({.kind = NightEventKind::kLeftOut, .session = "s9-consent", .why = "consent", .reason = "was withdrawn"});
-  add({.kind = NightEventKind::kLeftOut, .session = "s9-complete", .why = "complete", .reason = "is complete"});
+  AddNow(*log,
+         {.kind = NightEventKind::kLeftOut, .session = "s9-consent", .why = "consent", .reason = "was withdrawn"});
+  AddNow(*log,
+         {.kind = NightEventKind::kLeftOut, .session = "s9-complete", .why = "complete", .reason = "is complete"});
   for (const std::string& session : {good, strange}) {
-    add({.kind = NightEventKind::kStarted, .session = session, .fit = "f1", .attempt = 1});
-    add({.kind = NightEventKind::kDone,
-         .session = session,
-         .fit = "f1",
-         .attempt = 1,
-         .seconds = 12,
-         .cpu_seconds = 20});
+    AddNow(*log, {.kind = NightEventKind::kStarted, .session = session, .fit = "f1", .attempt = 1});
+    AddNow(*log, {.kind = NightEventKind::kDone,
+                  .session = session,
+                  .fit = "f1",
+                  .attempt = 1,
+                  .seconds = 12,
+                  .cpu_seconds = 20});
   }
   // The queue counts on from an earlier night, and names logs by that; of whom no worker began there is none.
-  add({.kind = NightEventKind::kStarted, .session = bad, .fit = "f2", .attempt = 2});
-  add({.kind = NightEventKind::kFailed, .session = bad, .attempt = 2, .reason = "no <light>\x1b[2J"});
-  add({.kind = NightEventKind::kFailed, .session = "s9-no-key", .reason = "no key"});
+  AddNow(*log, {.kind = NightEventKind::kStarted, .session = bad, .fit = "f2", .attempt = 2});
+  AddNow(*log, {.kind = NightEventKind::kFailed, .session = bad, .attempt = 2, .reason = "no <light>\x1b[2J"});
+  AddNow(*log, {.kind = NightEventKind::kFailed, .session = "s9-no-key", .reason = "no key"});
   WriteText(log->WorkerLog(bad, 2), "log");
-  add({.kind = NightEventKind::kEnded, .seconds = 24});
+  AddNow(*log, {.kind = NightEventKind::kEnded, .seconds = 24});
 
   const auto facts = GatherMorning(folder_, log->folder().filename().string());
   ASSERT_TRUE(facts.ok()) << facts.status().message();
@@ -157,14 +160,10 @@ TEST_F(MorningReportTest, WhoIsForgottenWhileItIsMadeIsNotInIt) {
   auto log = NightLog::Begin(folder_);
   ASSERT_TRUE(log.ok());
   const std::string stays = Fitted(0.04, WallNow()), fitted = Fitted(0.05, WallNow()), left_out = StoreSession(1);
-  const auto add = [&](NightEvent event) {
-    event.at = WallNow();
-    ASSERT_TRUE(log->Add(event).ok());
-  };
-  add({.kind = NightEventKind::kBegan, .count = 2});
-  add({.kind = NightEventKind::kLeftOut, .session = left_out, .why = "key", .reason = "no key"});
+  AddNow(*log, {.kind = NightEventKind::kBegan, .count = 2});
+  AddNow(*log, {.kind = NightEventKind::kLeftOut, .session = left_out, .why = "key", .reason = "no key"});
   for (const std::string& session : {stays, fitted})
-    add({.kind = NightEventKind::kDone, .session = session, .fit = "f1", .attempt = 1, .seconds = 12});
+    AddNow(*log, {.kind = NightEventKind::kDone, .session = session, .fit = "f1", .attempt = 1, .seconds = 12});
   std::vector<std::string> waiting = {fitted, left_out};
   const auto page = WriteMorningReport(folder_, log->folder().filename().string(), [&] {
     if (waiting.empty()) return;
