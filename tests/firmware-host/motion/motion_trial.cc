@@ -5,7 +5,6 @@
 #include <map>
 #include <utility>
 
-#include "firmware-host/sequence/pattern_witness.h"
 
 namespace stratalux::rig {
 namespace {
@@ -77,18 +76,10 @@ Result<MotionCapture> MotionRig::Capture() {
   Sequencer sequencer({*light_, rig_->lines(), rig_->camera(), rig_->projectors()}, options, logger_);
   SLX_ASSIGN_OR_RETURN(const CaptureReport report, sequencer.Run(plan_, frames));
   if (frames.of_step.size() != plan_.steps.size()) return Status::Failed("a frame is missing");
-  MotionCapture capture{.status = report.status, .retried = report.retried};
+  MotionCapture capture{.status = report.status, .retried = report.retried, .findings = report.findings};
   capture.unproven = report.planned - report.captured;
   capture.jumps = report.Count(ShotFault::kSubjectMoved);
   capture.mean_sum = MeanSum(plan_, frames.of_step, options.witness);
-  PatternWitness witness(plan_, options.witness);
-  witness.StartProjector(plan_.steps[0].projector);
-  for (const PlanStep& step : plan_.steps) {
-    const Image<uint16_t>& pixels = frames.of_step.at(step.index);
-    witness.Add(step, pixels, MeanDn(pixels));
-    if (PatternWitness::GroupOf(plan_, step.index).back() == step.index) static_cast<void>(witness.Check(step));
-  }
-  capture.findings = witness.CheckProjector();
   return capture;
 }
 

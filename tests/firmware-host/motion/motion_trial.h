@@ -27,7 +27,7 @@ struct MotionCapture {
   int retried = 0;
   int unproven = 0;                    // steps
   int jumps = 0;                       // that had the projector captured anew
-  std::vector<Finding> findings = {};  // of the projector, by a witness that is given the frames that count
+  std::vector<Finding> findings = {};  // what the session says
   double mean_sum = 0.0;               // of the comb cycle over white, one mean over all lit probes
   [[nodiscard]] bool Says(FindingKind kind) const;
 };
