@@ -8,14 +8,13 @@
 #include <utility>
 
 #include "fitter/mixture/em_projection.h"
+#include "shared/base/check.h"
 
 namespace stratalux::fit {
 namespace {
 
 constexpr float kTiny = 1e-12F;
 constexpr float kFreeReachMm = 8.0F;  // of a mean in free mode
-// A divergence this much (relative) above the best is single precision's noise, not a step too far.
-constexpr double kNoise = 1e-5;
 
 void AddBack(const LaneRow& back, LaneRows& q) {
   if (std::ranges::all_of(back.at, [](float b) { return b == 0.0F; })) return;
@@ -262,41 +261,22 @@ void EmBlock::ShareBackground(float* parameters) const {
   }
 }
 
-// What each lane does with the sweep just made. A point whose divergence lies above the best is left for the last
-// plain result (whose divergence is at most that of the point it came from): EM never loses likelihood.
+// What each lane does with the sweep just made.
 void EmBlock::Judge() {
-  constexpr int kCheckEvery = 8;
   for (int i = 0; i < kEmLanes; ++i) {
     Lane& lane = lanes_[i];
     step_[i] = kStay;
     momentum_[i] = 0.0F;
     if (lane.profile < 0 || lane.last_pass) continue;
-    ++lane.sweeps;
     const double now = lane.total > 0.0 ? divergence_[i] / lane.total : 0.0;
-    if (!accelerated_ || now <= lane.best * (1.0 + kNoise)) {
-      const double next = 0.5 * (1.0 + std::sqrt(1.0 + 4.0 * lane.momentum * lane.momentum));
-      if (accelerated_) momentum_[i] = static_cast<float>((lane.momentum - 1.0) / next);
-      lane.momentum = next;
-      step_[i] = kAdvance;
-    } else {
-      lane.momentum = 1.0;
-      step_[i] = kReturn;
-    }
-    lane.best = std::min(lane.best, now);
-    bool settled = false;
-    if (lane.sweeps % kCheckEvery == 0) {
-      settled =
-          std::isfinite(lane.checked) && lane.checked - lane.best <= options_.tolerance * kCheckEvery * lane.checked;
-      lane.checked = lane.best;
-    }
-    lane.last_pass = settled || lane.sweeps >= most_sweeps_;
-    if (lane.last_pass) momentum_[i] = 0.0F;
+    step_[i] = lane.pace.Judge(now, options_, accelerated_, most_sweeps_, momentum_[i]);
+    lane.last_pass = lane.pace.last;
   }
 }
 
 // Where the lanes stand without momentum is where they would end.
 void EmBlock::TellCosts() {
-  const auto told = [&](int i) { return step_[i] != kStay && lanes_[i].sweeps <= traced_sweeps_; };
+  const auto told = [&](int i) { return step_[i] != kStay && lanes_[i].pace.sweeps <= traced_sweeps_; };
   const auto lanes = std::views::iota(0, kEmLanes);
   if (std::ranges::none_of(lanes, told)) return;
   const LaneRows at = at_, last = last_;
@@ -304,7 +284,7 @@ void EmBlock::TellCosts() {
   Advance(rows_, bounds_, step_.data(), no_momentum.data(), image_.data(), last_.data(), at_.data());
   Sweep(false);
   for (const int i : lanes)
-    if (told(i)) traced_(lanes_[i].profile, lanes_[i].sweeps, divergence_[i]);
+    if (told(i)) traced_(lanes_[i].profile, lanes_[i].pace.sweeps, divergence_[i]);
   at_ = at;
   last_ = last;
 }
@@ -416,6 +396,49 @@ void EmBlock::Fit(std::span<const int64_t> profiles, std::span<const double> pho
       }
     }
   }
+}
+
+void EmBlock::Hold(std::span<const int64_t> profiles) {
+  SLX_CHECK(profiles.size() <= size_t{kEmLanes});
+  held_.assign(profiles.begin(), profiles.end());
+  prior_ = {};
+  for (int lane = 0; lane < static_cast<int>(held_.size()); ++lane) {
+    Load(lane, held_[lane]);
+    Begin(lane, 0, 0.0);
+    for (int l = 0; l < rows_.layers; ++l) lanes_[lane].brightness += Weight(l, lane);
+  }
+}
+
+LayerSet EmBlock::StartOf(int lane) const {
+  LayerSet layers;
+  for (int l = 0; l < rows_.layers; ++l) {
+    layers.weight.push_back(Weight(l, lane));
+    layers.depth_mm.push_back(DepthMm(l, lane));
+    layers.sigma_mm.push_back(SigmaMm(l, lane));
+  }
+  return layers;
+}
+
+void EmBlock::Expect(std::span<const LayerSet* const> layers) {
+  const int held = static_cast<int>(held_.size());
+  for (int lane = 0; lane < held; ++lane) StartFrom(*layers[lane], lane, lanes_[lane].brightness);
+  Sweep(true);
+  for (int lane = 0; lane < held; ++lane) {
+    double photons = 0.0, shown = 0.0;
+    for (int l = 0; l < rows_.layers; ++l) {
+      photons += sums_.photons[RowOf(l) + lane];
+      shown += double(Weight(l, lane)) / lanes_[lane].brightness * sums_.exposure[RowOf(l) + lane];
+    }
+    if (photons > 0.0 && shown > 0.0) lanes_[lane].brightness = photons / shown;
+    for (int p = 0; p < rows_.lights; ++p)
+      for (const int row : {rows_.surface(p), rows_.background(p)}) At(row, lane) = image_[RowOf(row) + lane];
+  }
+}
+
+EmBlock::LayerSums EmBlock::HeldSum(int layer, int lane) const {
+  const size_t at = RowOf(layer) + lane;
+  return {sums_.photons[at], sums_.moved[at], sums_.leverage[at], sums_.spread[at],
+          lanes_[lane].brightness * sums_.exposure[at]};
 }
 
 void EmBlock::Take(const MixtureMap& fit, int lane) {

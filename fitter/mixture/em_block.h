@@ -6,13 +6,13 @@
 #include <array>
 #include <cstdint>
 #include <functional>
-#include <limits>
 #include <span>
 #include <utility>
 #include <vector>
 
 #include "fitter/mixture/em_light.h"
 #include "fitter/mixture/em_options.h"
+#include "fitter/mixture/em_pace.h"
 #include "fitter/mixture/em_prior.h"
 #include "fitter/mixture/em_update.h"
 #include "fitter/mixture/layer_set.h"
@@ -41,6 +41,24 @@ class EmBlock {
     traced_ = std::move(traced);
   }
 
+  // Profiles (a lane each) that are fitted by layers in common (MeanLayers). They begin where Fit would, and stay.
+  void Hold(std::span<const int64_t> profiles);
+  [[nodiscard]] std::span<const int64_t> held() const { return held_; }
+  // What it starts from, as Fit would.
+  [[nodiscard]] LayerSet StartOf(int lane) const;
+  // The E step of those held: lane i by layers[i] in its own brightness, which takes its M step then, as do its surface
+  // and its floor. The sums of the layers' M step are the caller's to make: HeldSum. Cost is what it was before.
+  void Expect(std::span<const LayerSet* const> layers);
+  // Of one layer of one profile held, as if it had the layers' own brightness.
+  struct LayerSums {
+    double photons = 0.0, moved = 0.0, leverage = 0.0, spread = 0.0, exposure = 0.0;  // MomentSums
+  };
+  [[nodiscard]] LayerSums HeldSum(int layer, int lane) const;
+  // Sum of its layers' weights, of those held.
+  [[nodiscard]] double Brightness(int lane) const { return lanes_[lane].brightness; }
+  // Of the profile's light.
+  [[nodiscard]] double OwnPhotons(int lane) const { return lanes_[lane].own; }
+
   // Divergence in photons of each of `profiles` from what the layers of each of `fits`, maps of the same profiles
   // fitted to other lights, say of these lights: the surface as its reflection is known, else, like the floor, as the
   // mean of the fit's own lights. Nothing is swept or scaled.
@@ -59,7 +77,7 @@ class EmBlock {
   [[nodiscard]] double Cost(int lane) const { return divergence_[lane]; }
   // Share of the prior's photons in those that the layers were fitted to.
   [[nodiscard]] double PriorShare(int lane) const;
-  [[nodiscard]] int Sweeps(int lane) const { return lanes_[lane].sweeps; }
+  [[nodiscard]] int Sweeps(int lane) const { return lanes_[lane].pace.sweeps; }
   // Mean over the lights of a lane of the floor over a whole cycle, in units of reflectance.
   [[nodiscard]] float MeanBackground(int lane) const;
   // Largest |s| over the lights of a lane.
@@ -74,11 +92,10 @@ class EmBlock {
     size_t trial = 0;
     double total = 0.0;  // photons of data
     double own = 0.0;    // of them, the profile's light
-    int sweeps = 0;
-    bool last_pass = false;  // the layers are final: only their divergence is missing
-    double best = std::numeric_limits<double>::infinity(), checked = best;
-    double momentum = 1.0;  // Nesterov's t
-    double scale = 1.0;     // of the model to the white frames
+    EmPace pace = {};
+    bool last_pass = false;   // the layers are final: only their divergence is missing
+    double brightness = 0.0;  // of the layers of those held
+    double scale = 1.0;       // of the model to the white frames
   };
 
   void Load(int lane, int64_t profile);
@@ -115,6 +132,7 @@ class EmBlock {
   LayerBounds bounds_;
   LaneRows at_, image_, last_;  // parameters: of this sweep, what it makes of them, what the last one made
   std::array<Lane, kEmLanes> lanes_{};
+  std::vector<int64_t> held_;
   EmPrior prior_;
   LaneRow divergence_;  // and, with a prior, its cost
   alignas(64) std::array<int, kEmLanes> step_{};

@@ -3,65 +3,15 @@
 
 #include <algorithm>
 #include <cmath>
-#include <map>
 #include <string>
 
 #include "fitter/mixture/em_block.h"
-#include "fitter/mixture/fine_grid.h"
-#include "fitter/mixture/line_response.h"
-#include "fitter/mixture/photon_noise.h"
+#include "fitter/mixture/em_tasks.h"
 #include "shared/base/check.h"
 #include "shared/base/parallel_each.h"
 
 namespace stratalux::fit {
 namespace {
-
-// Beyond, single precision would overflow somewhere in a sweep; no reflectance, no millimetre is that large.
-bool Usable(float value) { return std::abs(value) < 1e9F; }
-
-bool GeometryUsable(const SrdBatch& batch, int64_t i) {
-  for (float v : {batch.first_u_mm[i], batch.line_width_mm[i], batch.blur_mm[i], batch.slope_in[i], batch.slope_out[i],
-                  batch.slope_in_across[i], batch.slope_out_across[i], batch.cos_in[i]})
-    if (!Usable(v)) return false;
-  if (!Usable(static_cast<float>(SampleSitesOf(batch, i).ReachMm()))) return false;
-  if (!batch.white.empty() && !(Usable(batch.white[i]) && Usable(batch.white_variance[i]))) return false;
-  const float step = batch.step_mm[i];
-  return step > 1e-6F && step < 1e6F && batch.line_width_mm[i] >= 0.0F && batch.blur_mm[i] >= 0.0F;
-}
-
-// A profile is usable when its samples are finite, not constant, and add up to light.
-FitReason Judge(const SrdBatch& batch, int64_t profile) {
-  if (batch.valid[profile] == 0) return FitReason::kNoProjector;
-  const auto y = batch.Samples(profile);
-  double sum = 0.0;
-  float low = y[0], high = y[0];
-  for (int k = 0; k < batch.samples; ++k) {
-    if (!Usable(y[k])) return FitReason::kNotFinite;
-    sum += y[k];
-    low = std::min(low, y[k]);
-    high = std::max(high, y[k]);
-  }
-  for (const float noise : {batch.noise_floor[profile], batch.noise_slope[profile]})
-    if (!Usable(noise) || !(noise >= 0.0F)) return FitReason::kNotFinite;
-  const PhotonNoise photons = PhotonNoiseOf(batch, profile);
-  if (!Usable(static_cast<float>(photons.counts)) || !Usable(static_cast<float>(photons.read_shift)))
-    return FitReason::kNotFinite;
-  if (!GeometryUsable(batch, profile)) return FitReason::kNotFinite;
-  if (!(batch.cos_in[profile] > 1e-3F)) return FitReason::kNoProjector;  // from behind the horizon
-  return sum > 0.0 && high > low && high > 1e-9F ? FitReason::kFitted : FitReason::kTooDark;
-}
-
-Status CheckBatches(std::span<const SrdBatch* const> lights, int64_t profiles) {
-  if (lights.empty()) return Status::Usage("EM needs at least one light");
-  for (const SrdBatch* batch : lights) {
-    if (batch->profiles() != profiles)
-      return Status::Failed("EM: a light has " + std::to_string(batch->profiles()) + " profiles, expected " +
-                            std::to_string(profiles));
-    if (batch->samples < 3)
-      return Status::Usage("EM: a profile needs at least 3 samples, not " + std::to_string(batch->samples));
-  }
-  return Status::Ok();
-}
 
 MixtureMap EmptyMap(int width, int height, int channels, const EmOptions& options, const std::vector<int>& projectors) {
   MixtureMap map;
@@ -82,78 +32,17 @@ MixtureMap EmptyMap(int width, int height, int channels, const EmOptions& option
   return map;
 }
 
-// Every light of every profile judged once.
-struct Judgement {
-  std::vector<std::vector<uint8_t>> usable;  // [light][profile]
-  std::vector<uint8_t> reason;               // [profile] FitReason
-  std::vector<int64_t> work;                 // profiles that some light can fit
-};
-
-Judgement JudgeAll(std::span<const SrdBatch* const> lights) {
-  const int64_t profiles = lights[0]->profiles();
-  Judgement judged{
-      std::vector(lights.size(), std::vector<uint8_t>(profiles, 0)), std::vector<uint8_t>(profiles, 0), {}};
-  for (int64_t i = 0; i < profiles; ++i) {
-    FitReason worst = FitReason::kNoProjector;
-    bool any = false;
-    for (size_t p = 0; p < lights.size(); ++p) {
-      const FitReason reason = Judge(*lights[p], i);
-      judged.usable[p][i] = reason == FitReason::kFitted ? 1 : 0;
-      any = any || judged.usable[p][i] != 0;
-      if (reason != FitReason::kNoProjector && reason != FitReason::kFitted) worst = reason;
-    }
-    judged.reason[i] = static_cast<uint8_t>(any ? FitReason::kFitted : worst);
-    if (any) judged.work.push_back(i);
-  }
-  return judged;
-}
-
 // Profiles of one task of ParallelFor: enough that lanes seldom run empty at its end.
 constexpr size_t kTask = 256;
-
-// Profiles that share the grids of their lights, and may share a block.
-struct Task {
-  std::vector<int> cells_per_sample;  // [light]
-  std::span<const int64_t> profiles;
-};
-
-// `work` sorted by grids, then by channel (like layers meet in a block), and cut into tasks.
-std::vector<Task> TasksOf(std::span<const SrdBatch* const> lights, const Judgement& judged, int channels,
-                          const EmOptions& options, std::vector<int64_t>& work) {
-  std::map<std::vector<int>, size_t> known;
-  std::vector<std::vector<int>> grids;  // distinct ones
-  std::vector<std::pair<size_t, int64_t>> keys;
-  std::vector<int> grid(lights.size());
-  for (int64_t i : judged.work) {
-    for (size_t p = 0; p < lights.size(); ++p)
-      grid[p] = judged.usable[p][i] != 0 ? CellsPerSample(*lights[p], i, options) : 1;
-    const auto [at, is_new] = known.emplace(grid, grids.size());
-    if (is_new) grids.push_back(grid);
-    keys.emplace_back(at->second * channels + static_cast<size_t>(i % channels), i);
-  }
-  std::sort(keys.begin(), keys.end());
-  work.clear();
-  for (const auto& [key, i] : keys) work.push_back(i);
-  std::vector<Task> tasks;
-  for (size_t begin = 0; begin < keys.size();) {
-    const size_t of_grid = keys[begin].first / channels;
-    size_t end = begin;
-    while (end < keys.size() && end - begin < kTask && keys[end].first / channels == of_grid) ++end;
-    tasks.push_back({grids[of_grid], std::span(work).subspan(begin, end - begin)});
-    begin = end;
-  }
-  return tasks;
-}
 
 // work(block, profiles), from several threads, for all usable profiles: a block for those that may share it.
 template <typename Work>
 void ForEachTask(std::span<const SrdBatch* const> lights, const Judgement& judged, int channels,
                  const EmOptions& options, const StartLayers& start, const Work& work) {
-  std::vector<int64_t> order;
-  const std::vector<Task> tasks = TasksOf(lights, judged, channels, options, order);
+  const EmTasks tasks = TasksOf(lights, judged, channels, options, kTask);
   ParallelEach(tasks.size(), [&](size_t t) {
-    EmBlock em(lights, judged.usable, tasks[t].cells_per_sample, options, start);
-    work(em, tasks[t].profiles);
+    EmBlock em(lights, judged.usable, tasks.cells_per_sample(t), options, start);
+    work(em, tasks.profiles(t));
   });
 }
 
@@ -199,7 +88,7 @@ Status CheckFit(std::span<const SrdBatch* const> lights, int64_t profiles, int c
                 const StartLayers& start) {
   SLX_RETURN_IF_ERROR(options.Validate());
   SLX_CHECK(start.empty() || static_cast<int>(start.mean.size()) == channels);
-  return CheckBatches(lights, profiles);
+  return CheckLights(lights, profiles);
 }
 
 }  // namespace
@@ -299,60 +188,6 @@ Result<std::vector<MixtureMap>> FitWithPriors(std::span<const SrdBatch* const> l
   return maps;
 }
 
-Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights, int channels,
-                                         const EmOptions& options, int every) {
-  SLX_RETURN_IF_ERROR(options.Validate());
-  SLX_CHECK(every >= 1);
-  if (lights.empty()) return Status::Usage("EM needs at least one light");
-  SLX_RETURN_IF_ERROR(CheckBatches(lights, lights[0]->profiles()));
-  Judgement judged = JudgeAll(lights);
-  // Every so many pixels, all channels of each.
-  std::erase_if(judged.work, [&](int64_t i) { return i / channels % every != 0 || lights[0]->IsApart(i); });
-  // Layers by profile, so that the sums do not depend on the order in which blocks finish.
-  const size_t layers = static_cast<size_t>(options.layers);
-  const size_t stride = 3 * layers + 1;
-  std::vector<float> fitted(judged.work.size() * stride);
-  std::vector<int64_t> place(static_cast<size_t>(lights[0]->profiles()), -1);
-  for (size_t k = 0; k < judged.work.size(); ++k) place[judged.work[k]] = static_cast<int64_t>(k);
-  const double no_prior[] = {0.0};
-  ForEachProfile(lights, judged, channels, options, {}, no_prior, {},
-                 [&](const EmBlock& em, int lane, int64_t i, size_t /*trial*/) {
-                   float* profile = fitted.data() + place[i] * stride;
-                   for (size_t l = 0; l < layers; ++l) {
-                     profile[3 * l] = em.Weight(static_cast<int>(l), lane);
-                     profile[3 * l + 1] = em.DepthMm(static_cast<int>(l), lane);
-                     profile[3 * l + 2] = em.SigmaMm(static_cast<int>(l), lane);
-                   }
-                   profile[3 * layers] = em.MeanBackground(lane);
-                 });
-  std::vector<LayerSet> mean(channels);
-  std::vector<int64_t> count(channels, 0);
-  for (size_t k = 0; k < judged.work.size(); ++k) {
-    const size_t c = static_cast<size_t>(judged.work[k] % channels);
-    LayerSet& set = mean[c];
-    for (auto* v : {&set.weight, &set.depth_mm, &set.sigma_mm}) v->resize(layers, 0.0);
-    ++count[c];
-    for (size_t l = 0; l < layers; ++l) {
-      const float* at = fitted.data() + k * stride + 3 * l;
-      set.weight[l] += at[0];
-      set.depth_mm[l] += double(at[0]) * at[1];
-      set.sigma_mm[l] += double(at[0]) * at[2];
-    }
-    set.background += fitted[k * stride + 3 * layers];
-  }
-  for (int c = 0; c < channels; ++c) {
-    if (count[c] == 0) continue;
-    mean[c].background /= static_cast<double>(count[c]);
-    for (size_t l = 0; l < mean[c].weight.size(); ++l) {
-      const double w = mean[c].weight[l];
-      mean[c].depth_mm[l] = w > 0.0 ? mean[c].depth_mm[l] / w : 0.0;
-      mean[c].sigma_mm[l] = w > 0.0 ? mean[c].sigma_mm[l] / w : 1.0;
-      mean[c].weight[l] /= static_cast<double>(count[c]);
-    }
-  }
-  return mean;
-}
-
 std::vector<std::vector<double>> DivergencesFrom(std::span<const MixtureMap> fits, const SrdBatch& light, int channels,
                                                  const EmOptions& options) {
   const SrdBatch* const lights[] = {&light};
@@ -378,7 +213,7 @@ double EstimateTau(std::span<const SrdBatch* const> lights, double eta, const Su
   const auto add = [&](int64_t i, Sums& sums) {
     std::vector<double> x, y;
     for (const SrdBatch* batch : lights) {
-      if (batch->IsApart(i) || Judge(*batch, i) != FitReason::kFitted || batch->cos_in[i] < 0.4F) continue;
+      if (batch->IsApart(i) || JudgeProfile(*batch, i) != FitReason::kFitted || batch->cos_in[i] < 0.4F) continue;
       const double sum = WhiteReflectanceOf(*batch, i).value - ReflectedBy(surface, *batch, i, eta);
       if (!(sum > 0.0)) continue;
       const double cos_in = batch->cos_in[i];

@@ -17,7 +17,7 @@ namespace stratalux::fit {
 
 // Map of `width` x `height` x `channels` profiles from one batch a training light (all with as many profiles). Profiles
 // that cannot be fitted get zero weights and a reason, never NaN. `start`: the layers that EM starts from, scaled
-// to each profile's own light (MeanLayers below, NeighbourLayers), and the centre of options.prior; empty: widths
+// to each profile's own light (MeanLayers, NeighbourLayers), and the centre of options.prior; empty: widths
 // spread over all scales. `progress` (may be empty) receives numbers of finished profiles. Same input, same bits,
 // whatever the number of threads.
 Result<MixtureMap> FitMixture(std::span<const SrdBatch* const> lights, const std::vector<int>& projectors, int width,
@@ -60,11 +60,6 @@ Result<std::vector<MixtureMap>> FitWithPriors(std::span<const SrdBatch* const> l
                                               const std::vector<int>& projectors, int channels,
                                               const EmOptions& options, const StartLayers& start,
                                               std::span<const double> photons);
-
-// Mean weight, depth and width of each layer, by channel, over one usable profile in `every`: the coarser level that
-// single pixels start from. Empty where a channel has none.
-Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights, int channels,
-                                         const EmOptions& options, int every = 16);
 
 // How far each profile of a light is from what each of `fits`, fitted to other lights of the same profiles, predicts of
 // it: Kullback-Leibler divergence in photons, [fit][profile]; NaN where the fit or the light has no such profile. The

@@ -7,6 +7,7 @@
 #include <set>
 
 #include "fitter/mixture/fit_mixture.h"
+#include "fitter/mixture/mean_layers.h"
 #include "fitter/mixture/photon_noise.h"
 #include "fitter/mixture/sampled_lights.h"
 
@@ -66,7 +67,7 @@ Result<LeftOutLights> LeaveOutEach(std::span<const SrdBatch* const> lights, cons
       (projectors[p] == projector ? out.left_out : out.training).push_back(p);
       if (projectors[p] != projector) out.names.push_back(projectors[p]);
     }
-    SLX_ASSIGN_OR_RETURN(out.mean, MeanLayers(At(sampled, out.training), channels, options, 1));
+    SLX_ASSIGN_OR_RETURN(out.mean, MeanLayers(At(sampled, out.training), channels, options));
   }
   return left;
 }

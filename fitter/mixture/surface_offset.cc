@@ -10,6 +10,7 @@
 
 #include "fitter/mixture/choose_prior.h"
 #include "fitter/mixture/fit_mixture.h"
+#include "fitter/mixture/mean_layers.h"
 
 namespace stratalux::fit {
 namespace {
@@ -75,8 +76,7 @@ class Trials {
       lights.push_back(&batch);
     }
     // As many as the search itself takes say what skin is like; all of them would cost as much as the fit.
-    const int every = std::max(1, static_cast<int>(static_cast<int64_t>(pixels_) / kPixelsOfSearch));
-    SLX_ASSIGN_OR_RETURN(const auto mean, MeanLayers(lights, channels_, options_, every));
+    SLX_ASSIGN_OR_RETURN(const auto mean, MeanLayers(lights, channels_, options_, kPixelsOfSearch));
     SLX_ASSIGN_OR_RETURN(const auto fit,
                          FitTraced(lights, projectors_, static_cast<int>(pixels_), 1, channels_, options_, mean));
     std::vector<double> costs(pixels_, 0.0);

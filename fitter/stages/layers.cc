@@ -12,6 +12,7 @@
 #include "fitter/mixture/em_light.h"
 #include "fitter/mixture/estimate_directions.h"
 #include "fitter/mixture/free_fit.h"
+#include "fitter/mixture/mean_layers.h"
 #include "shared/base/formatted.h"
 
 namespace stratalux::fit {

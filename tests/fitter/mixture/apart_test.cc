@@ -7,6 +7,7 @@
 #include <gtest/gtest.h>
 
 #include "fitter/mixture/fit_mixture.h"
+#include "fitter/mixture/mean_layers.h"
 #include "fitter/mixture/sampled_lights.h"
 #include "tests/fitter/mixture/em_cases.h"
 
@@ -55,7 +56,7 @@ TEST(ProfilesApart, HaveNoPartInTau) {
 TEST(ProfilesApart, HaveNoPartInTheMeanLayers) {
   const EmCases marked = Marked(), alone = Alone(), cases = Cases();
   const auto mean = [](const EmCases& of) {
-    const auto layers = MeanLayers(of.lights(), 1, EmOptions{}, 1);
+    const auto layers = MeanLayers(of.lights(), 1, EmOptions{});
     EXPECT_TRUE(layers.ok()) << layers.status().message();
     return layers->at(0).weight;
   };

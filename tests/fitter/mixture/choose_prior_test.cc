@@ -8,6 +8,7 @@
 #include <gtest/gtest.h>
 
 #include "fitter/mixture/fit_mixture.h"
+#include "fitter/mixture/mean_layers.h"
 #include "tests/fitter/mixture/em_cases.h"
 
 namespace stratalux::fit {
@@ -63,9 +64,10 @@ TEST(ChoosePrior, BindsPixelsThatAreAlikeMoreThanThoseThatAreNot) {
 
 TEST(ChoosePrior, TriesWeakPriorsOnlyWhereOneMayBeTheBest) {
   const EmOptions options;
-  // Enough photons to tell how much alike the pixels are; of this skin's, alike, a strong one is the best.
+  // Enough photons to tell how much alike the pixels are; of those that are, a strong one is the best.
   const auto choose = [&](int alike) {
-    const EmCases made = MakeEmCases({.profiles = kProfiles, .peak_counts = 2e4, .alike = alike}, options, 50);
+    const EmCases made =
+        MakeEmCases({.profiles = kProfiles, .peak_counts = 2e4, .alike = alike, .unlike = 0.1}, options, 50);
     auto choice = Choose(made, options);
     EXPECT_TRUE(choice.ok() && !choice->trials.empty());
     return *std::move(choice);
@@ -136,7 +138,7 @@ TEST(FitWithPriors, FindsTheLayersOfOneFitEach) {
   EmCases made = MakeEmCases({.profiles = 40, .peak_counts = 400.0, .alike = 8}, options, 45);
   made.batches[1].valid[3] = 0;                             // a light that one profile lacks
   for (SrdBatch& light : made.batches) light.valid[5] = 0;  // and a profile that none lights
-  const auto mean = MeanLayers(made.lights(), 1, options, 1);
+  const auto mean = MeanLayers(made.lights(), 1, options);
   ASSERT_TRUE(mean.ok());
   const std::vector<double> photons = {300.0, 0.0, 1e6, 300.0};
   const auto fits = FitWithPriors(made.lights(), kProjectors, 1, options, *mean, photons);

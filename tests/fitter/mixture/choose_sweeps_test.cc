@@ -9,6 +9,7 @@
 
 #include <gtest/gtest.h>
 
+#include "fitter/mixture/mean_layers.h"
 #include "tests/fitter/mixture/em_cases.h"
 #include "tests/fitter/mixture/reference_em.h"
 
@@ -32,7 +33,7 @@ EmOptions WithPrior(double photons = 1000.0) {
 }
 
 std::vector<LayerSet> MeanOf(const std::vector<const SrdBatch*>& lights, const EmOptions& options) {
-  const auto mean = MeanLayers(lights, 1, options, 4);
+  const auto mean = MeanLayers(lights, 1, options);
   EXPECT_TRUE(mean.ok()) << mean.status().message();
   return *mean;
 }
@@ -153,9 +154,12 @@ TEST(ChooseSweeps, IsTheFewestThatDataCannotTellFromEmThatHasSettled) {
   for (size_t t = 0; t + 1 < choice->trials.size(); ++t) EXPECT_GT(choice->trials[t].excess_nats, kSweepToleranceNats);
   EmOptions endless = options;
   endless.tolerance = 0.0;
-  const TracedFit fit = Traced(made, options, choice->sweeps), end = Traced(made, endless, 300);
+  endless.refinement_iterations = 300;
+  const TracedFit fit = Traced(made, options, choice->sweeps);
+  const auto end = FitTraced(made.lights(), kFourLights, kManyProfiles, 1, 1, endless, MeanOf(made.lights(), options));
+  ASSERT_TRUE(end.ok()) << end.status().message();
   double above = 0.0;
-  for (int64_t i = 0; i < kManyProfiles; ++i) above += (double(fit.cost[i]) - double(end.cost[i])) / kManyProfiles;
+  for (int64_t i = 0; i < kManyProfiles; ++i) above += (double(fit.cost[i]) - double(end->cost[i])) / kManyProfiles;
   EXPECT_NEAR(above, choice->trials.back().excess_nats, 5e-3);
 }
 

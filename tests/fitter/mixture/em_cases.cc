@@ -72,7 +72,9 @@ EmCases MakeEmCases(const EmCaseOptions& cases, const EmOptions& options, uint64
   EmCases made;
   LayerSet skin;
   for (int i = 0; i < cases.profiles; ++i) {
-    if (i % cases.alike == 0) skin = RandomSkin(random);
+    const auto number = static_cast<size_t>(i / cases.alike);
+    if (i % cases.alike == 0)
+      skin = cases.skins.empty() ? RandomSkin(random) : cases.skins[number % cases.skins.size()];
     made.skins.push_back(cases.alike > 1 ? Varied(skin, cases.unlike, random) : skin);
   }
   for (double slope : cases.slopes) {
@@ -80,11 +82,12 @@ EmCases MakeEmCases(const EmCaseOptions& cases, const EmOptions& options, uint64
     for (int i = 0; i < cases.profiles; ++i) {
       const auto y = PredictSamples(made.skins[i], b, i, options.scattering);
       const double counts = cases.peak_counts / *std::max_element(y.begin(), y.end());
+      const double read = cases.read_photons > 0.0 ? cases.read_photons / counts : 2e-5;
       for (int k = 0; k < b.samples; ++k) {
-        const double variance = (y[k] + 2e-5) / counts;
+        const double variance = (y[k] + read) / counts;
         b.y[i * b.samples + k] = static_cast<float>(y[k] + random.Normal() * std::sqrt(variance));
       }
-      b.noise_floor[i] = static_cast<float>(2e-5 / counts);
+      b.noise_floor[i] = static_cast<float>(read / counts);
       b.noise_slope[i] = static_cast<float>(1.0 / counts);
     }
     made.batches.push_back(std::move(b));

@@ -23,9 +23,13 @@ struct EmCaseOptions {
   int profiles = 16, samples = 64;
   bool wrapped = true;
   double peak_counts = 4000.0;
+  // Variance of the read noise, photons^2. A camera's has some electrons; 0: hardly any (0.00002 in units of y), by
+  // which half of the dark samples lie below what EM takes, as black.
+  double read_photons = 0.0;
   // Profiles that share a skin, up to so much in every weight, depth and width, as neighbouring pixels do; 1: none.
   int alike = 1;
   double unlike = 0.2;
+  std::vector<LayerSet> skins = {};                // that they share, one after another; empty: random ones
   int pool = 1;                                    // above: samples average pool x pool quads, two sites in each
   std::vector<double> slopes = {-1.0, 0.0, 0.58};  // tangents of incidence, one a light
 };

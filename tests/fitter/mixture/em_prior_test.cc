@@ -7,6 +7,7 @@
 #include <gtest/gtest.h>
 
 #include "fitter/mixture/fit_mixture.h"
+#include "fitter/mixture/mean_layers.h"
 #include "tests/fitter/mixture/em_cases.h"
 #include "tests/fitter/mixture/reference_em.h"
 #include "tests/fitter/mixture/simd_targets.h"
@@ -229,7 +230,7 @@ TEST(MapEm, ReachesFiftyPlainSweepsInSixteenOnTheWhole) {
   for (double counts : {100.0, 1000.0, 4000.0}) {
     EmOptions options = Plain(1, 1000.0);
     const EmCases made = MakeEmCases({.profiles = 64, .peak_counts = counts, .alike = 64}, options, 37);
-    const auto mean = MeanLayers(made.lights(), 1, EmOptions{}, 1);
+    const auto mean = MeanLayers(made.lights(), 1, EmOptions{});
     ASSERT_TRUE(mean.ok());
     const double plain = MeanObjective(made, options, mean->front(), 50);
     options.accelerated = true;

@@ -8,6 +8,7 @@
 
 #include "fitter/mixture/choose_prior.h"
 #include "fitter/mixture/fit_mixture.h"
+#include "fitter/mixture/mean_layers.h"
 #include "tests/fitter/mixture/em_cases.h"
 
 namespace stratalux::fit {
@@ -153,14 +154,24 @@ constexpr double kPixelMm = 0.6;
 constexpr int kOneIn = 13;  // profiles that are judged
 const std::vector<int> kProjectors = {0, 1, 2};
 
+// A cheek's and a lip's, whose light spreads three quarters as far.
 EmCases TwoSkins(double unlike) {
-  return MakeEmCases({.profiles = kSide * kSide, .peak_counts = 400.0, .alike = kSide * kSide / 2, .unlike = unlike},
+  LayerSet cheek{{0.12, 0.1, 0.08, 0.06}, {0.08, 0.2, 0.5, 0.9}, {0.2, 0.5, 1.2, 2.4}}, lip = cheek;
+  for (auto* values : {&lip.depth_mm, &lip.sigma_mm})
+    for (double& v : *values) v *= 0.75;
+  return MakeEmCases({.profiles = kSide * kSide,
+                      .peak_counts = 1000.0,
+                      .read_photons = 25.0,
+                      .alike = kSide * kSide / 2,
+                      .unlike = unlike,
+                      .skins = {cheek, lip}},
                      {}, 51);
 }
 
 EmOptions WithPrior(double photons) {
   EmOptions options;
   options.prior.photons = photons;
+  options.surface_term = false;  // these skins have none
   return options;
 }
 
@@ -183,7 +194,7 @@ TEST(FitAmongNeighbours, KnowsSkinsOfFewPhotonsBetterThanTheSessionsMeanDoes) {
   const EmCases made = TwoSkins(0.03);
   const double photons = Chosen(made).photons;
   EXPECT_GT(photons, 300.0);
-  const auto mean = MeanLayers(made.lights(), 1, options, 1);
+  const auto mean = MeanLayers(made.lights(), 1, options);
   ASSERT_TRUE(mean.ok());
   const auto session = FitMixture(made.lights(), kProjectors, kSide, kSide, 1, options, *mean);
   const auto among = [&](double spacing_mm) {
@@ -241,7 +252,7 @@ TEST(FitAmongNeighbours, FitsWhatStandsApartByTheSessionsMean) {
     light.apart.assign(64, 0);
     light.apart[9] = 1;
   }
-  const auto mean = MeanLayers(made.lights(), 1, options, 1);
+  const auto mean = MeanLayers(made.lights(), 1, options);
   ASSERT_TRUE(mean.ok());
   int64_t told = 0;
   const auto near = FitAmongNeighbours(made.lights(), {0, 1, 2}, 8, 8, 1, options, *mean, 1.0, 3000.0,
