@@ -214,7 +214,7 @@ void AddDecodeCommand(CLI::App& app, int& exit_code) {
   verb->add_option("--out", flags->out, "Folder for column and row maps (EXR, PNG)");
   verb->add_option("--reference", flags->reference,
                    "Corner file to compare with (pose, board x y, camera u v, projector x y)");
-  verb->add_flag("--bits-alone", flags->bits_alone, "Without the sinusoids that were captured");
+  verb->add_flag("--bits-alone", flags->bits_alone, "Ignore the captured sinusoids");
   verb->add_flag("--json", flags->json, "Machine-readable result on stdout");
   verb->callback([flags, &exit_code] {
     Logger logger;

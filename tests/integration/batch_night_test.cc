@@ -129,7 +129,7 @@ TEST_F(BatchNight, AStopGivesBackAndTheNextNightGoesOn) {
   night.Send(SIGTERM);
   const Outcome stopped = night.Wait();
   EXPECT_EQ(stopped.code, 0) << stopped.out;
-  EXPECT_THAT(stopped.out, HasSubstr("is given back"));
+  EXPECT_THAT(stopped.out, HasSubstr("goes back to the queue"));
   EXPECT_THAT(stopped.out, HasSubstr("wait for the next night"));
   EXPECT_THAT(Leftovers(store, false), ::testing::IsEmpty());
   EXPECT_EQ(RunBatch(store).code, 0);
