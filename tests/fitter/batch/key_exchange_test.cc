@@ -211,7 +211,7 @@ TEST_F(KeyExchange, OneAnswersAtATime) {
   {
     const auto other = db::FileLock::TryTake(results_ / ".answer.lock", "");
     ASSERT_TRUE(other.ok());
-    EXPECT_THAT(ProblemsOfALook().front(), HasSubstr("another program answers"));
+    EXPECT_THAT(ProblemsOfALook().front(), HasSubstr("another program already answers"));
   }
   EXPECT_EQ(AnswerAsks(folder_, results_, plan_).answered, 1);
 }
@@ -250,7 +250,7 @@ TEST_F(KeyExchange, AsksThatAreNotWhatTheySayAreNamedAndNotAnswered) {
   if (geteuid() == 0) {
     AskBy(reader);
     ASSERT_EQ(chown(file.c_str(), 65534, 65534), 0);
-    EXPECT_THAT(ProblemsOfALook().front(), HasSubstr("of the user 65534"));
+    EXPECT_THAT(ProblemsOfALook().front(), HasSubstr("belongs to user 65534"));
   }
 }
 
@@ -309,7 +309,7 @@ TEST_F(KeyExchange, AnAnswerForAnotherShardIsRefused) {
   fs::rename(answer.string() + ".new", answer);
   const auto keys = asked.get();
   EXPECT_EQ(keys.status().code(), StatusCode::kIntegrity);
-  EXPECT_THAT(keys.status().message(), HasSubstr("none of shard 1/2"));
+  EXPECT_THAT(keys.status().message(), HasSubstr("does not belong to shard 1/2"));
 }
 
 }  // namespace
