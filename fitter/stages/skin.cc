@@ -60,8 +60,8 @@ std::string Describe(const SkinMask& mask) {
   if (!mask.told)
     return Formatted("no separated light tells skin from hair and eyes: all %lld quads of the surface count as skin",
                      surface);
-  return Formatted("%lld of %lld quads of the surface are skin; %lld are hair, eyes or else and left out", skin,
-                   surface, surface - skin);
+  return Formatted("%lld of %lld quads of the surface are skin; %lld are hair, eyes or something else and are left out",
+                   skin, surface, surface - skin);
 }
 
 Status SaveSkin(const std::filesystem::path& folder, const SkinMask& mask) {
