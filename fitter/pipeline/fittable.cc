@@ -18,7 +18,7 @@ Status RequireFittable(const SessionFrames& frames, const RunOptions& options) {
   if (projectors < 2)
     return Status::Usage(where +
                          " has one projector only: the layers are fitted on all projectors but the held-out one, so "
-                         "two are needed at least (`stratalux-fit srd` works with one)");
+                         "at least two are needed (`stratalux-fit srd` works with one)");
   if (options.heldout >= projectors)
     return Status::Usage("held-out projector " + std::to_string(options.heldout) + " does not exist; allowed: 0 .. " +
                          std::to_string(projectors - 1));

@@ -40,7 +40,7 @@ Status CannotListen(const std::string& address, int port) {
   const std::string text = "cannot listen on " + address + ", port " + std::to_string(port) + ": ";
   if (errno == EADDRINUSE)
     return Status::Busy(text + "another program listens there; choose another port (0: any free one)");
-  if (errno == EACCES) return Status::Failed(text + "ports below 1024 are the system's; choose another");
+  if (errno == EACCES) return Status::Failed(text + "ports below 1024 are reserved for the system; choose another");
   if (errno == EADDRNOTAVAIL) return Status::Failed(text + "this machine has no such address");
   return Status::Failed(text + std::strerror(errno));
 }
