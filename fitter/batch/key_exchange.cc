@@ -92,11 +92,11 @@ Status CheckOwner(const fs::path& path, const struct stat& info, uid_t asker) {
 Result<std::string> ReadOwn(const fs::path& file, uid_t asker) {
   const UniqueFd fd(open(file.c_str(), O_RDONLY | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC));
   if (fd.get() < 0 && errno == ENOENT) return Status::NotFound(file.string() + " is gone");
-  if (fd.get() < 0 && errno == ELOOP) return Status::Usage(file.string() + " is no plain file: not answered");
+  if (fd.get() < 0 && errno == ELOOP) return Status::Usage(file.string() + " is not a plain file: not answered");
   struct stat info {};
   if (fd.get() < 0 || fstat(fd.get(), &info) != 0)
     return Status::Failed("cannot open " + file.string() + ": " + std::strerror(errno));
-  if (!S_ISREG(info.st_mode)) return Status::Usage(file.string() + " is no plain file: not answered");
+  if (!S_ISREG(info.st_mode)) return Status::Usage(file.string() + " is not a plain file: not answered");
   SLX_RETURN_IF_ERROR(CheckOwner(file, info, asker));
   std::string text(kMostAskBytes + 1, '\0');
   size_t filled = 0;
@@ -124,7 +124,7 @@ Result<Ask> ReadAsk(const fs::path& results, const fs::path& file, uid_t asker, 
   Ask ask;
   SLX_ASSIGN_OR_RETURN(ask.shard, ParseShard(shard).WithContext(file.string()));
   const auto key = db::ReaderPublicKeyOf(reader);
-  if (!key) return Status::Usage(file.string() + ": '" + reader + "' is no public key: not answered");
+  if (!key) return Status::Usage(file.string() + ": '" + reader + "' is not a public key: not answered");
   ask.reader = *key;
   if (AskFile(results, db::IdOf(ask.reader)) != file)
     return Status::Usage(file.string() + " names a key other than its own: not answered");

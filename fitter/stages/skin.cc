@@ -102,7 +102,7 @@ Result<SkinMask> LoadSkin(const std::filesystem::path& folder) {
     for (int i = 0; i < map.width(); ++i) {
       const float reason = map(i, j, 2);
       if (!(reason >= 0.0F) || reason >= static_cast<float>(kSkinReasons))
-        return Status::Integrity((folder / "skin.exr").string() + ": no reason of the skin stage");
+        return Status::Integrity((folder / "skin.exr").string() + ": not a reason that the skin stage knows");
       mask.probability(i, j) = map(i, j, 0);
       mask.skin(i, j) = map(i, j, 1) != 0.0F ? 1 : 0;
       mask.reason(i, j) = static_cast<uint8_t>(reason);

@@ -90,7 +90,7 @@ Result<std::string> ReadTokenFile(const std::string& file) {
   if (!fd.ok() || fstat(fd.get(), &facts) != 0)
     return Status::Usage("token file " + file + ": " + std::strerror(errno) +
                          "; make one: (umask 077; openssl rand -hex 32 > " + file + ")");
-  if (!S_ISREG(facts.st_mode)) return Status::Usage("token file " + file + " is no regular file");
+  if (!S_ISREG(facts.st_mode)) return Status::Usage("token file " + file + " is not a regular file");
   if ((facts.st_mode & 077) != 0)
     return Status::Usage("token file " + file + " can be read by others; chmod 600 " + file);
   char text[513];

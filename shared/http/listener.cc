@@ -57,7 +57,7 @@ bool IsLoopback(const std::string& text) {
 Result<Listener> Listen(const std::string& text, int port) {
   Address address;
   if (!Parse(text, port, address))
-    return Status::Usage("'" + text + "' is no IPv4 or IPv6 address, such as 127.0.0.1 or ::1");
+    return Status::Usage("'" + text + "' is not an IPv4 or IPv6 address, such as 127.0.0.1 or ::1");
   UniqueFd fd(socket(address.bytes.ss_family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
   if (!fd.ok()) return CannotListen(text, port);
   const int on = 1;

@@ -237,12 +237,12 @@ TEST_F(KeyExchange, AsksThatAreNotWhatTheySayAreNamedAndNotAnswered) {
   fs::permissions(file, fs::perms::others_write, fs::perm_options::remove);
   fs::rename(file, results_ / "elsewhere");
   fs::create_symlink(results_ / "elsewhere", file);
-  EXPECT_THAT(ProblemsOfALook().front(), HasSubstr("no plain file"));
+  EXPECT_THAT(ProblemsOfALook().front(), HasSubstr("not a plain file"));
   fs::remove(file);
   AskBy(reader, {{"padding", std::string(5000, 'x')}});
   EXPECT_THAT(ProblemsOfALook().front(), HasSubstr("too large"));
   AskBy(reader, {{"reader", "/etc/passwd"}});
-  EXPECT_THAT(ProblemsOfALook().front(), HasSubstr("'/etc/passwd' is no public key"));
+  EXPECT_THAT(ProblemsOfALook().front(), HasSubstr("'/etc/passwd' is not a public key"));
   AskBy(reader);
   fs::permissions(results_ / "keys", fs::perms::group_write, fs::perm_options::add);
   EXPECT_THAT(ProblemsOfALook().front(), HasSubstr("others may write"));
