@@ -375,7 +375,7 @@ void AddClusterCommands(CLI::App& batch, int& exit_code) {
       batch.add_subcommand("submit", "Give a planned night to a cluster's engine; makes the plan if there is none");
   submit->footer(
       "`batch merge` brings the fits back; with --until they come back as they are made. It must be known how long a\n"
-      "visitor takes: if nobody of the store was fitted yet, fit one here first.\n"
+      "visitor takes: if no visitor of the store was fitted yet, fit one here first.\n"
       "Examples:\n"
       "  stratalux-fit batch submit --engine slurm --store store --results /shared/night --dry-run\n"
       "  stratalux-fit batch submit --engine slurm --store store --results /shared/night --until 07:00 \\\n"

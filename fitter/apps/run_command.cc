@@ -197,7 +197,7 @@ void AddRunCommands(CLI::App& app, int& exit_code) {
       "  stratalux-fit clean latest --store store --dry-run\n"
       "  stratalux-fit clean s000017 --store store --keep-days 7\n"
       "  stratalux-fit clean --all --store store --keep-days 2\n"
-      "  stratalux-fit clean s000017 --store store --damaged   # only what is not what its record says");
+      "  stratalux-fit clean s000017 --store store --damaged   # only what differs from its record");
   AddStore(*clean, *cleaned);
   clean->add_option("--keep-days", cleaned->clean.keep_days, "Keep what is younger than this many days")
       ->check(CLI::Range(0.0, 36500.0))

@@ -86,7 +86,7 @@ Result<int> ShardCount(const ShardPlan& plan, const SlurmOptions& options) {
   for (const PlannedVisit& visit : plan.visits) {
     if (!visit.cost)
       return Status::Usage(
-          "how long a visitor takes is not known yet: nobody of this store was fitted. `stratalux-fit batch run "
+          "how long a visitor takes is not known yet: no visitor of this store was fitted. `stratalux-fit batch run "
           "--most 1` fits one here; then make the plan");
     seconds += visit.cost->cpu_seconds;
   }
