@@ -77,7 +77,7 @@ Status PrintPlan(const BatchFlags& flags, Logger& logger) {
   text += Formatted("%zu to fit, %zu left out; %d workers of %d threads", choice.visits.size(), choice.left_out.size(),
                     night.workers, night.threads);
   if (!choice.visits.empty())
-    text += known ? Formatted(", %.1f hours at least\n", hours) : ", how long is known after the first\n";
+    text += known ? Formatted(", %.1f hours at least\n", hours) : ", duration unknown until the first is fitted\n";
   else
     text += "\n";
   return WriteStdout(PrintableLines(text));
@@ -125,7 +125,7 @@ std::string StatusText(const NightStatus& night, const std::map<db::JobState, in
   std::string text = "night of " + ToIso8601(night.began) + ": " +
                      (night.ended ? "over since " + ToIso8601(*night.ended) : std::string("running")) +
                      (night.end_reason.empty() ? "" : " (" + night.end_reason + ")") + "\n";
-  text += Formatted("%d of %lld fitted, %d failed, %d not any more, %zu left out\n", night.Count(NightEventKind::kDone),
+  text += Formatted("%d of %lld fitted, %d failed, %d dropped, %zu left out\n", night.Count(NightEventKind::kDone),
                     static_cast<long long>(night.chosen),
                     night.Count(NightEventKind::kFailed) + night.Count(NightEventKind::kSetAside),
                     night.Count(NightEventKind::kDropped), night.left_out.size());
@@ -205,14 +205,14 @@ Status Retry(const BatchFlags& flags, Logger& logger) {
     return Status::Usage("which jobs? Name their numbers, or --all");
   }
   for (const int64_t id : ids) SLX_RETURN_IF_ERROR(jobs.Requeue(id));
-  logger.Info(Formatted("%zu jobs begin anew with the next `batch run`", ids.size()));
+  logger.Info(Formatted("%zu jobs start again with the next `batch run`", ids.size()));
   return Status::Ok();
 }
 
 }  // namespace
 
 void AddBatchCommands(CLI::App& app, int& exit_code) {
-  auto* batch = app.add_subcommand("batch", "The visitors of a store, fitted in a night");
+  auto* batch = app.add_subcommand("batch", "Fit the visitors of a store in a night");
   batch->require_subcommand(1);
   batch->footer(
       "Examples:\n"
@@ -220,22 +220,25 @@ void AddBatchCommands(CLI::App& app, int& exit_code) {
       "  stratalux-fit batch run --store store --until 07:00\n"
       "  stratalux-fit batch status --store store");
   auto planned = std::make_shared<BatchFlags>();
-  auto* plan =
-      batch->add_subcommand("plan", "Who would be fitted, who not and why, and how long it takes; changes nothing");
+  auto* plan = batch->add_subcommand("plan",
+                                     "Show who would be fitted, who would not and why, and how long it takes; "
+                                     "changes nothing");
   plan->footer(
       "Examples:\n  stratalux-fit batch plan --store store --json\n"
       "  stratalux-fit batch plan --store store --out results   # for `batch shard`, `batch submit` and `batch merge`");
   AddChoice(*plan, *planned);
   AddWorkers(*plan, *planned);
   plan->add_option("--out", planned->out,
-                   "Write it to FOLDER/plan.json, for shards on other machines; their results come there, too");
+                   "Write the plan to FOLDER/plan.json for shards on other machines; their results go there, too");
   OnCall(*plan, exit_code, [planned](Logger& logger) { return PrintPlan(*planned, logger); });
 
   auto ran = std::make_shared<BatchFlags>();
-  auto* run = batch->add_subcommand("run", "Fit them: until all are, or the time is up; prints where the report is");
+  auto* run = batch->add_subcommand("run",
+                                    "Fit the visitors until all are done or the time is up; prints the path of the "
+                                    "report");
   run->footer(
-      "A night that was stopped or killed is gone on with by the next one. Exit code 3: somebody could not be fitted,\n"
-      "or, outside of --from and --until, the night of that span failed or never began.\n"
+      "The next night continues one that was stopped or killed. Exit code 3: somebody could not be fitted, or,\n"
+      "outside --from and --until, the night of that span failed or never began.\n"
       "Examples:\n"
       "  stratalux-fit batch run --store store --until 07:00\n"
       "  stratalux-fit batch run --store store --workers 4 --memory 12 --order oldest --most 300\n"
@@ -243,7 +246,7 @@ void AddBatchCommands(CLI::App& app, int& exit_code) {
   AddChoice(*run, *ran);
   AddWorkers(*run, *ran);
   auto* until =
-      run->add_option("--until", ran->until, "Time of day: nobody is begun who would not be finished by then");
+      run->add_option("--until", ran->until, "Time of day; no visitor is started who would not be finished by then");
   AddFrom(*run, *ran, *until);
   AddAttempts(*run, *ran);
   OnCall(*run, exit_code, [ran](Logger& logger) { return RunBatch(*ran, logger); });
@@ -251,20 +254,20 @@ void AddBatchCommands(CLI::App& app, int& exit_code) {
   AddClusterCommands(*batch, exit_code);
 
   auto asked = std::make_shared<BatchFlags>();
-  auto* status = batch->add_subcommand("status", "How far the newest night is");
+  auto* status = batch->add_subcommand("status", "Progress of the newest night");
   status->footer("Example:\n  stratalux-fit batch status --store store --json");
   AddStore(*status, *asked);
   status->add_flag("--json", asked->json, "Machine-readable");
   OnCall(*status, exit_code, [asked](Logger&) { return PrintStatus(*asked); });
 
   auto watched = std::make_shared<BatchFlags>();
-  auto* watch = batch->add_subcommand("watch", "The same, live, until the night is over");
+  auto* watch = batch->add_subcommand("watch", "Show the same, live, until the night is over");
   watch->footer("Example:\n  stratalux-fit batch watch --store store");
   AddStore(*watch, *watched);
   OnCall(*watch, exit_code, [watched](Logger&) { return WatchNight(*watched); });
 
   auto reported = std::make_shared<BatchFlags>();
-  auto* report = batch->add_subcommand("report", "The morning's report of a night, made anew; prints where it is");
+  auto* report = batch->add_subcommand("report", "Make a night's morning report again; prints its path");
   report->footer(
       "Examples:\n  stratalux-fit batch report --store store\n"
       "  stratalux-fit batch report --store store --text | mail -s 'last night' operator");
@@ -274,7 +277,7 @@ void AddBatchCommands(CLI::App& app, int& exit_code) {
   OnCall(*report, exit_code, [reported](Logger&) { return PrintReport(*reported); });
 
   auto retried = std::make_shared<BatchFlags>();
-  auto* retry = batch->add_subcommand("retry", "Jobs that failed, were set aside or cancelled begin anew");
+  auto* retry = batch->add_subcommand("retry", "Restart jobs that failed, were set aside or were cancelled");
   retry->footer(
       "Examples:\n  stratalux-fit batch retry 17 18 --store store\n  stratalux-fit batch retry --all --store store");
   AddStore(*retry, *retried);

@@ -46,9 +46,9 @@ std::string Sentence(const NightEvent& event, int over, int64_t chosen) {
     case NightEventKind::kSetAside:
       return place + who + Formatted(" is set aside after %d attempts: ", event.attempt) + event.reason;
     case NightEventKind::kDropped:
-      return place + who + " is not fitted any more: " + event.reason;
+      return place + who + " is dropped: " + event.reason;
     case NightEventKind::kReleased:
-      return who + " is given back: " + event.reason;
+      return who + " goes back to the queue: " + event.reason;
     case NightEventKind::kEnded:
       return "the night is over" + (event.reason.empty() ? "" : ": " + event.reason);
   }
@@ -62,10 +62,10 @@ void AddStore(CLI::App& verb, BatchFlags& flags) {
 }
 
 void AddWorkers(CLI::App& verb, BatchFlags& flags) {
-  verb.add_option("--workers", flags.workers, "Visitors at a time, each in a process of its own; 0: one a core")
+  verb.add_option("--workers", flags.workers, "Visitors fitted at a time, each in its own process; 0: one per core")
       ->check(CLI::Range(0, 1024))
       ->capture_default_str();
-  verb.add_option("--threads", flags.threads, "Threads of each worker; 0: the cores, shared out")
+  verb.add_option("--threads", flags.threads, "Threads of each worker; 0: the cores, divided among the workers")
       ->check(CLI::Range(0, 1024))
       ->capture_default_str();
   verb.add_option("--memory", flags.memory_gib, "Memory of all workers together, GiB; 0: four fifths of what is free")
@@ -78,15 +78,15 @@ void AddChoice(CLI::App& verb, BatchFlags& flags) {
   verb.add_option("--order", flags.order, "Who is fitted first: newest or oldest visitors")
       ->check(CLI::IsMember({"newest", "oldest"}))
       ->capture_default_str();
-  verb.add_option("--most", flags.most, "So many visitors at most; 0: all")
+  verb.add_option("--most", flags.most, "Fit at most this many visitors; 0: all")
       ->check(CLI::Range(0, 1000000))
       ->capture_default_str();
   flags.fit_options = AddFitOptions(verb, flags.fit);
-  verb.add_flag("--json", flags.json, "Machine-readable; of `run` a line an event, as it happens");
+  verb.add_flag("--json", flags.json, "Machine-readable; `run` writes one line per event, as it happens");
 }
 
 void AddAttempts(CLI::App& verb, BatchFlags& flags) {
-  verb.add_option("--attempts", flags.attempts, "Attempts a visitor, then it is set aside")
+  verb.add_option("--attempts", flags.attempts, "Attempts per visitor before it is set aside")
       ->check(CLI::Range(1, 100))
       ->capture_default_str();
   verb.add_option("--visit-limit", flags.visit_limit_min, "Minutes after which an attempt is given up")
@@ -96,8 +96,8 @@ void AddAttempts(CLI::App& verb, BatchFlags& flags) {
 
 void AddFrom(CLI::App& verb, BatchFlags& flags, CLI::Option& until) {
   verb.add_option("--from", flags.from,
-                  "Time of day, with --until: outside of that span nobody is fitted; exit code 0 if the last night "
-                  "went well, else 3")
+                  "Time of day, with --until: outside that span nobody is fitted; exit code 0 if the last night went "
+                  "well, else 3")
       ->needs(&until);
 }
 

@@ -313,15 +313,17 @@ int Fail(const CalibrateFlags& f, const Status& status, Logger& logger) {
 
 void AddCalibrateCommand(CLI::App& app, int& exit_code) {
   auto flags = std::make_shared<CalibrateFlags>();
-  auto* verb = app.add_subcommand(
-      "calibrate", "Board poses, dark, flat and response sessions -> geometry and light of the rig, judged");
+  auto* verb =
+      app.add_subcommand("calibrate",
+                         "Calibrate a rig's geometry and light from board poses, dark, flat and response sessions, "
+                         "and judge the result");
   verb->footer(
       "The record of an accepted calibration is kept in the store, with its figures; a refused one is not.\n"
       "Exit codes: 0 accepted, 1 refused or failed, 2 usage, 3 accepted without some poses. docs/calibration.md "
-      "explains "
-      "each figure.\n"
-      "Sessions of kind calibration give the geometry; dark, flat and response ones the light. Without the former, the "
-      "geometry of --known-rig (or the sessions' own) stays; what no session tells stays as it was, and is named.\n"
+      "explains each figure.\n"
+      "Sessions of kind calibration give the geometry; dark, flat and response ones the light. Without the former, "
+      "the geometry of --known-rig (or the sessions' own) is kept; what no session measures is kept as\n"
+      "it was, and named.\n"
       "Examples:\n"
       "  stratalux-fit calibrate --last 12 --store store --out calibration.json\n"
       "  stratalux-fit calibrate s000001 s000002 s000003 s000004 --store store --board charuco --squares 10x7 "
@@ -344,13 +346,13 @@ void AddCalibrateCommand(CLI::App& app, int& exit_code) {
   verb->add_option("--marker-mm", flags->stage.board.marker_mm, "Side of a ChArUco marker, mm")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
-  verb->add_option("--distortion", flags->distortion, "auto (by held-out poses), k1, k1k2, full")
+  verb->add_option("--distortion", flags->distortion, "auto (chosen by held-out poses), k1, k1k2, full")
       ->capture_default_str();
-  verb->add_option("--known-camera", flags->known_camera, "Record (JSON) whose camera intrinsics stay");
+  verb->add_option("--known-camera", flags->known_camera, "Record (JSON) whose camera intrinsics are kept");
   verb->add_option("--known-rig", flags->known_rig,
                    "Record (JSON) of the same box, to check size and cables (default: the sessions' own)");
   verb->add_option("--target-albedo", flags->light.target_albedo,
-                   "Diffuse albedo of the flat sessions' matt target, as its certificate has it")
+                   "Diffuse albedo of the flat sessions' matt target, as given in its certificate")
       ->check(CLI::Range(0.01, 1.2))
       ->capture_default_str();
   verb->add_option("--camera-size", flags->camera_size,
@@ -358,8 +360,8 @@ void AddCalibrateCommand(CLI::App& app, int& exit_code) {
   verb->add_option("--projector-size", flags->projector_size,
                    "Picture of imported sessions' projectors, WIDTHxHEIGHT (default: as imported)");
   verb->add_option("--valid-days", flags->valid_days,
-                   "Days after its captures from which on sessions warn of its age (default: 30; of light alone: as "
-                   "the known rig has it)")
+                   "Days after its captures when sessions begin to warn of its age (default: 30; for light alone: as "
+                   "in the known rig)")
       ->check(CLI::Range(0.01, 36500.0));
   verb->add_option("--out", flags->out, "Write the record here, too, and the page beside it (.html)");
   verb->add_option("--page", flags->page, "Write the page (HTML) here, whether accepted or refused");

@@ -121,10 +121,10 @@ void AddCloudCommand(CLI::App& app, int& exit_code) {
   auto* verb = app.add_subcommand(
       "cloud", "Points with covariance from codes and a calibration alone; works on imported captures too");
   verb->footer(
-      "Decodes, triangulates and smooths, and needs Gray codes, white and black alone: no sweeps, no fit. Images in\n"
-      "folders come into a store by `stratalux-db import`. cloud.ply (of board poses cloud_poseN.ply) is in the "
-      "camera\n"
-      "frame, mm: +x right, +y down, +z away from the camera; as that of `export`, without colour.\n"
+      "Decodes, triangulates and smooths; needs only Gray codes, white and black: no sweeps, no fit.\n"
+      "`stratalux-db import` brings images from folders into a store. cloud.ply (for board poses: cloud_poseN.ply) "
+      "is in\n"
+      "the camera frame, mm: +x right, +y down, +z away from the camera; like that of `export`, but without colour.\n"
       "Examples:\n"
       "  stratalux-fit cloud latest --store store --out points\n"
       "  stratalux-fit cloud s000002 --store store --calibration rig.json --pose 3 --out points --json");
@@ -133,7 +133,8 @@ void AddCloudCommand(CLI::App& app, int& exit_code) {
   verb->add_option("--calibration", flags->calibration,
                    "Record (JSON) of the rig, as `calibrate --out` writes it (default: the session's own)");
   verb->add_option("--pose", flags->pose, "Only this board pose")->check(CLI::Range(0, 10000));
-  verb->add_option("--out", flags->out, "Folder of the clouds, plain; logged, and found by `forget`")->required();
+  verb->add_option("--out", flags->out, "Folder for the clouds, unencrypted; logged, so that `forget` finds it")
+      ->required();
   verb->add_flag("--json", flags->json, "Machine-readable result on stdout");
   verb->callback([flags, &exit_code] {
     Logger logger;

@@ -75,9 +75,9 @@ Status FitShard(const ClusterFlags& flags, Logger& logger) {
     if (keys.status().code() == StatusCode::kTryAgain) return keys.status();
     if (keys.ok()) {
       db::HoldKeys(*keys);
-      logger.Info(Formatted("%zu keys came", keys->size()));
+      logger.Info(Formatted("%zu keys received", keys->size()));
     } else {
-      logger.Warning(keys.status().message() + "; who needs one is not fitted");
+      logger.Warning(keys.status().message() + "; visitors that need one are not fitted");
     }
   }
   NightTeller teller(logger, flags.batch);
@@ -87,7 +87,7 @@ Status FitShard(const ClusterFlags& flags, Logger& logger) {
   if (!flags.batch.json) SLX_RETURN_IF_ERROR(WriteStdout(outcome.manifest.string() + "\n"));
   if (outcome.waiting > 0)
     return Status(StatusCode::kTryAgain,
-                  Formatted("%d visitors of the shard wait: run it again, and it goes on", outcome.waiting));
+                  Formatted("%d visitors of the shard are waiting: run it again to continue", outcome.waiting));
   if (outcome.failed > 0)
     return Status(StatusCode::kDegraded, Formatted("%d visitors could not be fitted", outcome.failed));
   return Status::Ok();
@@ -110,7 +110,7 @@ Status CheckAnswerer(const ClusterFlags& flags, Logger& logger) {
 
 // Until the time of day, or until it is told to stop.
 Status AnswerKeys(const ClusterFlags& flags, Logger& logger) {
-  if (!flags.shard.empty()) return Status::Usage("--answer is for every shard: without " + flags.shard);
+  if (!flags.shard.empty()) return Status::Usage("--answer serves every shard: leave out " + flags.shard);
   std::optional<std::chrono::seconds> time;
   if (!flags.batch.until.empty()) {
     SLX_ASSIGN_OR_RETURN(time, TimeUntil(flags.batch.until, std::time(nullptr)));
@@ -122,7 +122,7 @@ Status AnswerKeys(const ClusterFlags& flags, Logger& logger) {
   KeyAnswers all;
   Result<ShardPlan> plan = Status::NotFound("");
   fs::file_time_type of_plan;
-  logger.Info("answering who asks for keys in " + flags.results + " ...");
+  logger.Info("answering requests for keys in " + flags.results + " ...");
   while (true) {
     // The plan may come later, and another after it.
     std::error_code error;
@@ -151,7 +151,7 @@ Status AnswerKeys(const ClusterFlags& flags, Logger& logger) {
 // Logged before they leave, one by one: who fits elsewhere has them until it ends.
 Status SendKeys(const ClusterFlags& flags, Logger& logger) {
   if (flags.answer) return AnswerKeys(flags, logger);
-  if (flags.shard.empty()) return Status::Usage("whose keys? I/N names a share; --answer is for all who ask");
+  if (flags.shard.empty()) return Status::Usage("whose keys? I/N names one share; --answer serves all shards that ask");
   const std::string& store = flags.batch.fit.run.store;
   SLX_RETURN_IF_ERROR(db::CheckKeyPipe(STDOUT_FILENO));
   SLX_ASSIGN_OR_RETURN(const Shard shard, ParseShard(flags.shard));
@@ -184,7 +184,7 @@ Status TellMerge(const ClusterFlags& flags, const MergeOutcome& outcome, Logger&
     logger.Warning(outcome.missing[i] + " is missing: its shard was lost, or is still at work");
   if (outcome.missing.size() > kNamed)
     logger.Warning(Formatted("and %zu more (--json names them)", outcome.missing.size() - kNamed));
-  logger.Info(Formatted("%d fits entered, %d were there, %d visitors not any more, %zu failed, %zu missing",
+  logger.Info(Formatted("%d fits entered, %d already there, %d visitors dropped, %zu failed, %zu missing",
                         outcome.entered, outcome.present, outcome.dropped, outcome.failed.size(),
                         outcome.missing.size()));
   SLX_ASSIGN_OR_RETURN(const fs::path report, WriteMorningReport(flags.batch.fit.run.store, outcome.night));
@@ -208,7 +208,7 @@ Result<ShardPlan> PlanToSubmit(const ClusterFlags& flags, Logger& logger) {
   auto plan = ReadPlan(flags.results);
   const bool chosen = flags.batch.most > 0 || !GivenArguments(flags.batch.fit_options).empty();
   if (plan.ok() && chosen)
-    return Status::Usage(flags.results + " has a plan: who is fitted, and how, was said when it was made");
+    return Status::Usage(flags.results + " already has a plan, which says who is fitted and how");
   if (plan.ok() || plan.status().code() != StatusCode::kNotFound) return plan;
   SLX_ASSIGN_OR_RETURN(ChoiceOptions options, ChoiceOf(flags.batch));
   options.key = KeyHere::kNot;
@@ -299,7 +299,7 @@ Status Submit(const ClusterFlags& flags, Logger& logger) {
   }
   const size_t earlier = jobs->ids.size();
   SLX_ASSIGN_OR_RETURN(jobs, SubmitSlurm(plan, options, arrays, *jobs));
-  for (size_t i = earlier; i < jobs->ids.size(); ++i) logger.Info("Slurm has it as job " + jobs->ids[i]);
+  for (size_t i = earlier; i < jobs->ids.size(); ++i) logger.Info("submitted to Slurm as job " + jobs->ids[i]);
   return flags.batch.until.empty() ? Status::Ok() : MergeAsItComes(flags, time, logger);
 }
 
@@ -315,10 +315,11 @@ CLI::Option* AddShare(CLI::App& verb, ClusterFlags& flags) {
 
 void AddClusterCommands(CLI::App& batch, int& exit_code) {
   auto worked = std::make_shared<ClusterFlags>();
-  auto* shard = batch.add_subcommand("shard", "One of N shares of a planned night, on any machine that sees the store");
+  auto* shard =
+      batch.add_subcommand("shard", "Fit one of N shares of a planned night, on any machine that sees the store");
   shard->footer(
-      "Reads sealed sessions and the ledger of STORE, writes to RESULTS alone. Run again it goes on; exit code 75: it\n"
-      "was stopped and has visitors left.\n"
+      "Reads sealed sessions and the ledger of STORE, and writes only to RESULTS. Run it again to continue; exit\n"
+      "code 75: it was stopped and has visitors left.\n"
       "Examples:\n"
       "  stratalux-fit batch plan --store store --out results\n"
       "  stratalux-fit batch shard 1/2 --store store --results results\n"
@@ -326,29 +327,32 @@ void AddClusterCommands(CLI::App& batch, int& exit_code) {
       "  stratalux-fit batch merge results --store store");
   AddShare(*shard, *worked)->required();
   shard->add_option("--scratch", worked->scratch,
-                    "Folder of a disk of this machine for its index of the sessions; without it $TMPDIR, or /tmp");
-  shard->add_option("--plan", worked->plan, "Refuse any other plan than the one of this id");
+                    "Folder on a disk of this machine for its index of the sessions (default: $TMPDIR, or /tmp)");
+  shard->add_option("--plan", worked->plan, "Refuse any plan but the one with this id");
   auto* from_pipe =
-      shard->add_flag("--keys", worked->keys, "Take keys from standard input, as `batch keys` gives them");
-  auto* ask =
-      shard->add_flag("--ask-keys", worked->ask_keys,
-                      "Ask in RESULTS for keys that are not here, and wait until `batch keys --answer` gives them");
+      shard->add_flag("--keys", worked->keys, "Read keys from standard input, as `batch keys` writes them");
+  auto* ask = shard->add_flag("--ask-keys", worked->ask_keys,
+                              "Ask in RESULTS for keys that this machine lacks, and wait until `batch keys --answer` "
+                              "gives them");
   ask->excludes(from_pipe);
-  shard->add_option("--ask-minutes", worked->ask_minutes, "With --ask-keys: wait so long, then go on without")
+  shard
+      ->add_option("--ask-minutes", worked->ask_minutes, "With --ask-keys: wait this long, then go on without the keys")
       ->needs(ask)
       ->check(CLI::Range(0.0, 1e5))
       ->capture_default_str();
   AddWorkers(*shard, worked->batch);
   AddAttempts(*shard, worked->batch);
-  shard->add_flag("--json", worked->batch.json, "A line an event, as it happens");
+  shard->add_flag("--json", worked->batch.json, "One line per event, as it happens");
   OnCall(*shard, exit_code, [worked](Logger& logger) { return FitShard(*worked, logger); });
 
   auto given = std::make_shared<ClusterFlags>();
-  auto* keys =
-      batch.add_subcommand("keys", "The keys of a share's encrypted visitors, into a pipe or to who asks; logged");
+  auto* keys = batch.add_subcommand("keys",
+                                    "Give the keys of a share's encrypted visitors into a pipe, or to the shards "
+                                    "that ask; logged");
   keys->footer(
-      "For machines without the reader's key; they keep them in memory. Exit code 3: some are not here, or an ask was\n"
-      "refused.\n"
+      "For machines without the reader's key; they hold these keys in memory. Exit code 3: some keys are not here, "
+      "or\n"
+      "a request was refused.\n"
       "Examples:\n"
       "  stratalux-fit batch keys 1/2 --store store --results results |\n"
       "      ssh node1 stratalux-fit batch shard 1/2 --store store --results results --keys\n"
@@ -356,10 +360,11 @@ void AddClusterCommands(CLI::App& batch, int& exit_code) {
   AddShare(*keys, *given);
   auto* answer = keys->add_flag(
       "--answer", given->answer,
-      "Stay, and give each shard that asks (`batch shard --ask-keys`) the keys of its share, sealed to it");
-  keys->add_option("--until", given->batch.until, "With --answer: time of day; without it until told to stop")
+      "Keep running, and give each shard that asks (`batch shard --ask-keys`) the keys of its share, sealed to it");
+  keys->add_option("--until", given->batch.until,
+                   "With --answer: time of day to stop at (default: run until told to stop)")
       ->needs(answer);
-  keys->add_option("--every", given->look_s, "With --answer: look so often, seconds")
+  keys->add_option("--every", given->look_s, "With --answer: seconds between two looks")
       ->needs(answer)
       ->check(CLI::Range(0.05, 3600.0))
       ->capture_default_str();
@@ -367,11 +372,10 @@ void AddClusterCommands(CLI::App& batch, int& exit_code) {
 
   auto submitted = std::make_shared<ClusterFlags>();
   auto* submit =
-      batch.add_subcommand("submit", "A planned night, given to a cluster's engine; without a plan it is made");
+      batch.add_subcommand("submit", "Give a planned night to a cluster's engine; makes the plan if there is none");
   submit->footer(
-      "Fits come back by `batch merge`, or as they are made with --until. How long a visitor takes must be known: "
-      "where\n"
-      "nobody of the store was fitted yet, fit one here first.\n"
+      "`batch merge` brings the fits back; with --until they come back as they are made. It must be known how long a\n"
+      "visitor takes: if no visitor of the store was fitted yet, fit one here first.\n"
       "Examples:\n"
       "  stratalux-fit batch submit --engine slurm --store store --results /shared/night --dry-run\n"
       "  stratalux-fit batch submit --engine slurm --store store --results /shared/night --until 07:00 \\\n"
@@ -379,39 +383,40 @@ void AddClusterCommands(CLI::App& batch, int& exit_code) {
   AddChoice(*submit, submitted->batch);
   submit->add_option("--engine", submitted->engine, "slurm")->required()->check(CLI::IsMember({"slurm"}));
   submit->add_option("--results", submitted->results, "Folder that this machine and all nodes see")->required();
-  submit->add_option("--task-store", submitted->task_store, "Where nodes see the store; without it --store");
+  submit->add_option("--task-store", submitted->task_store, "Where nodes see the store (default: --store)");
   submit->add_option(
       "--task", submitted->task,
-      "What nodes run as stratalux-fit, such as 'apptainer exec stratalux.sif stratalux-fit'; without it "
-      "this program");
-  submit->add_option("--chunk-minutes", submitted->chunk_minutes, "Minutes of a task, by what earlier fits took")
+      "What nodes run as stratalux-fit, such as 'apptainer exec stratalux.sif stratalux-fit' (default: this program)");
+  submit->add_option("--chunk-minutes", submitted->chunk_minutes, "Minutes per task, judged by what earlier fits took")
       ->check(CLI::Range(0.001, 1e5))
       ->capture_default_str();
-  submit->add_option("--cpus", submitted->cpus, "Cores of a task")->check(CLI::Range(1, 1024))->capture_default_str();
+  submit->add_option("--cpus", submitted->cpus, "Cores per task")->check(CLI::Range(1, 1024))->capture_default_str();
   submit->add_flag("--ask-keys", submitted->ask_keys,
                    "Tasks ask for the keys of their visitors: `batch keys --answer` gives them");
-  submit->add_option("--sbatch", submitted->directives, "An option of sbatch, too; as often as needed");
-  auto* until = submit->add_option("--until", submitted->batch.until, "Time of day: stay, and merge what comes");
+  submit->add_option("--sbatch", submitted->directives, "Additional option for sbatch; may be repeated");
+  auto* until = submit->add_option("--until", submitted->batch.until,
+                                   "Time of day; until then keep running, and merge what comes");
   AddFrom(*submit, submitted->batch, *until);
-  submit->add_option("--every", submitted->every_s, "With --until: look so often, seconds")
+  submit->add_option("--every", submitted->every_s, "With --until: seconds between two looks")
       ->check(CLI::Range(0.1, 3600.0))
       ->capture_default_str();
-  submit->add_flag("--again", submitted->again, "Of a plan that was submitted: the shards that are not done");
+  submit->add_flag("--again", submitted->again, "Resubmit the shards of a submitted plan that are not done");
   submit->add_flag("--dry-run", submitted->dry_run, "Print the script of each array; submit nothing");
   OnCall(*submit, exit_code, [submitted](Logger& logger) { return Submit(*submitted, logger); });
 
   auto merged = std::make_shared<ClusterFlags>();
-  auto* merge =
-      batch.add_subcommand("merge", "What shards made, verified and entered into the store; changes nothing twice");
+  auto* merge = batch.add_subcommand("merge", "Verify what shards made and enter it into the store; safe to repeat");
   merge->footer(
-      "Where the store lies on this machine's own disk. May be run while shards are at work; exit code 3: somebody\n"
-      "failed or is missing.\n"
-      "Example:\n  stratalux-fit batch merge results --store store");
+      "Run it where the store lies on the machine's own disk; shards may still be at work. Exit code 3: somebody "
+      "failed\n"
+      "or is missing.\n"
+      "Example:\n"
+      "  stratalux-fit batch merge results --store store");
   merge->add_option("results", merged->results, "Folder of `batch plan --out`")->required();
   AddStore(*merge, merged->batch);
   merge->add_flag("--json", merged->batch.json, "Machine-readable");
   merge->add_flag("--close", merged->close,
-                  "Then remove RESULTS: its shards are over, and who is missing is planned anew another night");
+                  "Then remove RESULTS: its shards are over, and missing visitors are planned again another night");
   OnCall(*merge, exit_code, [merged](Logger& logger) { return Merge(*merged, logger); });
 }
 

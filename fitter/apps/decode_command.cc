@@ -54,7 +54,7 @@ Result<Reference> ReadReference(const std::string& file, const std::vector<int>&
     const std::string where = file + ":" + std::to_string(number) + ": ";
     int pose = 0;
     double v[6];
-    if (!(text >> pose)) return Status::Usage(where + "the pose, the first of 7 numbers, is no whole number");
+    if (!(text >> pose)) return Status::Usage(where + "the pose, the first of 7 numbers, is not a whole number");
     for (double& x : v)
       if (!(text >> x)) return Status::Usage(where + "expected 7 numbers (pose, board x y, camera u v, projector x y)");
     if (!(text >> std::ws).eof()) return Status::Usage(where + "more than 7 numbers");
@@ -63,7 +63,7 @@ Result<Reference> ReadReference(const std::string& file, const std::vector<int>&
   for (const int pose : poses)
     if (!reference.contains(pose))
       return Status::Usage(file + ": has no line of pose " + std::to_string(pose) +
-                           "; name a pose that it has with --pose, or leave --reference out");
+                           "; choose a pose that it has with --pose, or leave out --reference");
   return reference;
 }
 
@@ -214,7 +214,7 @@ void AddDecodeCommand(CLI::App& app, int& exit_code) {
   verb->add_option("--out", flags->out, "Folder for column and row maps (EXR, PNG)");
   verb->add_option("--reference", flags->reference,
                    "Corner file to compare with (pose, board x y, camera u v, projector x y)");
-  verb->add_flag("--bits-alone", flags->bits_alone, "Without the sinusoids that were captured");
+  verb->add_flag("--bits-alone", flags->bits_alone, "Ignore the captured sinusoids");
   verb->add_flag("--json", flags->json, "Machine-readable result on stdout");
   verb->callback([flags, &exit_code] {
     Logger logger;

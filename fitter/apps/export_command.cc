@@ -39,24 +39,27 @@ Status Export(ExportFlags& f, Logger& logger) {
 
 void AddExportCommand(CLI::App& app, int& exit_code) {
   auto flags = std::make_shared<ExportFlags>();
-  auto* verb = app.add_subcommand(
-      "export", "The face for other programs: mesh as PLY and glTF, points with covariance, depth, normals, skin");
+  auto* verb =
+      app.add_subcommand("export",
+                         "Export the face for other programs: mesh as PLY and glTF, points with covariance, depth, "
+                         "normals, skin");
   verb->footer(
       "ply: mesh.ply; glb: mesh.glb (glTF 2.0, metres, y up, albedo and photometric normals as its textures);\n"
       "cloud: cloud.ply, each point with its covariance and whether it is skin;\n"
       "tiff: depth.tif, normal.tif, skin.tif (16 bits); exr: depth.exr, normal.exr, skin.exr (floats).\n"
       "PLY, TIFF and EXR are in the camera frame, mm: +x right, +y down, +z away from the camera. A session without\n"
-      "a fit gives its surface, without colour. Files of an earlier export are replaced, each whole.\n"
+      "a fit gives its surface, without colour. Files of an earlier export are replaced, each in one step.\n"
       "Examples:\n"
       "  stratalux-fit export latest --store store --out face\n"
       "  stratalux-fit export s000017 --store store --format glb,cloud --out for-the-artist --json");
   verb->add_option("session", flags->options.session, "Session: id, unique prefix, or latest")->capture_default_str();
   verb->add_option("--store", flags->options.store, "Store folder")->envname("STRATALUX_STORE")->required();
   verb->add_option("--fit", flags->options.fit, "Fit (default: the newest complete one, else the surface so far)");
-  verb->add_option("--format", flags->formats, "Formats, with commas between them (default: all)")
+  verb->add_option("--format", flags->formats, "Formats, separated by commas (default: all)")
       ->delimiter(',')
       ->check(CLI::IsMember(ExportFormatNames()));
-  verb->add_option("--out", flags->out, "Folder of the files, plain; logged, and found by `forget`")->required();
+  verb->add_option("--out", flags->out, "Folder for the files, unencrypted; logged, so that `forget` finds it")
+      ->required();
   verb->add_flag("--json", flags->json, "Machine-readable result on stdout: export.json, folder and whether sealed");
   verb->callback([flags, &exit_code] {
     Logger logger;

@@ -24,11 +24,11 @@ Status ParsePrior(const std::string& text, FitOptions& fit) {
 
 std::vector<CLI::Option*> AddFitOptions(CLI::App& verb, FitFlags& f) {
   const std::vector<CLI::Option*> before = verb.get_options();
-  verb.add_option("--layers", f.run.fit.em.layers, "Scattering layers a pixel")
+  verb.add_option("--layers", f.run.fit.em.layers, "Scattering layers per pixel")
       ->check(CLI::Range(1, 32))
       ->capture_default_str();
   verb.add_option("--mode", f.mode,
-                  "tied: one set of layers a pixel for all lights; free: each SRD on its own, as the paper has it")
+                  "tied: one set of layers per pixel for all lights; free: each SRD on its own, as in the paper")
       ->check(CLI::IsMember({"tied", "free"}))
       ->capture_default_str();
   verb.add_option("--shift", f.shift, "Shift law: paper, refracted, refracted_sine")->capture_default_str();
@@ -44,24 +44,25 @@ std::vector<CLI::Option*> AddFitOptions(CLI::App& verb, FitFlags& f) {
       ->capture_default_str();
   verb.add_option("--surface", f.surface,
                   "Light reflected by the surface itself. model: facets of one roughness and strength, found on the "
-                  "training lights; free: of each light its own, near 5 %")
+                  "training lights; free: each light's own, near 5 %")
       ->check(CLI::IsMember({"model", "free"}))
       ->capture_default_str();
   verb.add_option("--background", f.background,
-                  "on: a uniform floor beside the layers, for rooms whose light returns from far; off")
+                  "on: a uniform floor beside the layers, for rooms where light returns from far away; off")
       ->check(CLI::IsMember({"on", "off"}))
       ->capture_default_str();
   verb.add_option("--prior", f.prior,
-                  "Photons of the session's mean layers that count beside each profile's own: a number; auto: what "
-                  "predicts the training lights, left out in turn, best; none: every pixel on its own")
+                  "Photons of the session's mean layers that are added to each profile's own: a number; auto: the "
+                  "number that best predicts the training lights, each left out in turn; none: every pixel on its own")
       ->capture_default_str();
   verb.add_option("--neighbours", f.neighbours,
-                  "on: the layers of skin around a pixel that returns as much light are its prior; off: the session's "
-                  "mean layers alone. With a prior, of a tied fit")
+                  "on: a pixel's prior is the layers of the skin around it that returns as much light; off: the "
+                  "session's mean layers alone. Only in a tied fit with a prior")
       ->check(CLI::IsMember({"on", "off"}))
       ->capture_default_str();
   verb.add_option("--iterations", f.run.fit.em.max_iterations,
-                  "EM sweeps of the mean layers (without prior: of each pixel) at most, times the square of --pool")
+                  "Maximum number of EM sweeps of the mean layers (without a prior: of each pixel), times the square "
+                  "of --pool")
       ->check(CLI::Range(1, 100000))
       ->capture_default_str();
   verb.add_option("--heldout", f.run.heldout, "Projector left out of the fit")
@@ -81,30 +82,30 @@ std::vector<CLI::Option*> AddFitOptions(CLI::App& verb, FitFlags& f) {
       ->check(CLI::IsMember({"reconstructed", "truth"}))
       ->capture_default_str();
   verb.add_option("--frames", f.run.frames,
-                  "At most so many of the visit's frames, as if a shorter visit had been captured; all by default. Too "
-                  "few for codes need --geometry truth (--dry-run says what is left out)")
+                  "Use at most this many of the visit's frames, as if a shorter visit had been captured (default: "
+                  "all). Too few for codes need --geometry truth (--dry-run says what is left out)")
       ->check(CLI::Range(1, 1000000));
   verb.add_option("--offset", f.offset,
-                  "on: the reconstructed surface is moved along the view to where the sweeps say it lies, which "
-                  "scattering hides from the codes; off: taken as it is")
+                  "on: the reconstructed surface is moved along the view to where the sweeps say it lies, because "
+                  "scattering hides that from the codes; off: taken as it is")
       ->check(CLI::IsMember({"on", "off"}))
       ->capture_default_str();
   verb.add_option("--motion", f.motion,
-                  "on: how the head moved is found from white frames and codes, and made up for; off: taken to have "
-                  "held still")
+                  "on: the head's motion is found from white frames and codes, and compensated; off: the head is "
+                  "taken to have held still")
       ->check(CLI::IsMember({"on", "off"}))
       ->capture_default_str();
   verb.add_option("--maps", f.maps,
-                  "on: maps/, too: the layers by all projectors, none left out, for pictures and exports; off. "
+                  "on: also make maps/, the layers by all projectors, none left out, for pictures and exports; off. "
                   "A free fit has none")
       ->check(CLI::IsMember({"on", "off"}))
       ->capture_default_str();
   verb.add_flag("--full-evaluation", f.run.full_evaluation,
                 "Hold out every projector in turn; baselines and ablations");
   verb.add_flag("--standard-errors", f.run.standard_errors,
-                "standard_errors.exr, too: of total weight, mean depth and width of each pixel, by noise and by fits "
-                "that leave out each projector in turn (takes long at full size; --full-evaluation makes the same "
-                "fits)");
+                "Also make standard_errors.exr: those of each pixel's total weight, mean depth and width, by noise "
+                "and by fits that leave out each projector in turn (takes long at full size; --full-evaluation makes "
+                "the same fits)");
   std::vector<CLI::Option*> added = verb.get_options();
   std::erase_if(added,
                 [&](CLI::Option* option) { return std::find(before.begin(), before.end(), option) != before.end(); });

@@ -111,7 +111,7 @@ void AddProfilesCommand(CLI::App& app, int& exit_code) {
                   "Layers' weights follow the directions; auto: if the sources ask for it")
       ->check(CLI::IsMember({"auto", "on", "off"}))
       ->capture_default_str();
-  fit->add_option("--iterations", flags->em.max_iterations, "EM sweeps at most")
+  fit->add_option("--iterations", flags->em.max_iterations, "Maximum number of EM sweeps")
       ->check(CLI::Range(1, 100000))
       ->capture_default_str();
   fit->callback([flags, &exit_code] {

@@ -75,7 +75,7 @@ Status Render(const RenderFlags& f, Logger& logger) {
     relit.half_width = HalfWidths(fit.shape.surface, relit.light_mm, relit.total, intervals->colours);
   else
     logger.Info("fit " + stored.id +
-                " does not say how far predictions may be off: no interval.exr (run the session's fit anew)");
+                " does not say how far predictions may be off: no interval.exr (fit the session again)");
   for (const std::string& note : relit.Notes()) logger.Warning(note);
   SLX_RETURN_IF_ERROR(db::WriteExport(f.store, "render", session, f.out, RelitFiles(),
                                       [&] { return WriteRelit(f.out, relit, f.white, session, stored.id); }));
@@ -93,11 +93,12 @@ Status Render(const RenderFlags& f, Logger& logger) {
 void AddRenderCommand(CLI::App& app, int& exit_code) {
   auto flags = std::make_shared<RenderFlags>();
   auto* verb = app.add_subcommand(
-      "render", "A fitted face under a new light: subsurface, surface and total as EXR, PNG; how far they may be off");
+      "render",
+      "Render a fitted face under a new light: subsurface, surface and total as EXR, PNG; how far they may be off");
   verb->footer(
       "Camera frame, mm: +x right, +y down, +z away from the camera. A light of colour 1 makes a white target at the\n"
       "middle of the face, turned to it, read 1.\n"
-      "interval.exr: half the 95 % interval of total, by what the fit's held-out light was off "
+      "interval.exr: half the 95 % interval of total, from the fit's errors on held-out light "
       "(docs/math/evaluation.md).\n"
       "Examples:\n"
       "  stratalux-fit render latest --store store --point=-200,-150,250 --out relit\n"
@@ -116,12 +117,13 @@ void AddRenderCommand(CLI::App& app, int& exit_code) {
   verb->add_option("--colour", flags->colour, "R,G,B of the light")->delimiter(',')->expected(3);
   verb->add_option("--maps", flags->maps,
                    "on: the layers from all projectors; off: those of the fit, which leave one out; auto: from all "
-                   "where the fit has them")
+                   "if the fit has them")
       ->check(CLI::IsMember({"auto", "on", "off"}))
       ->capture_default_str();
-  verb->add_option("--white", flags->white, "Linear value that becomes white in the PNGs (default: chosen)")
+  verb->add_option("--white", flags->white,
+                   "Linear value that becomes white in the PNGs (default: chosen automatically)")
       ->check(CLI::PositiveNumber);
-  verb->add_option("--out", flags->out, "Folder of the pictures")->required();
+  verb->add_option("--out", flags->out, "Folder for the pictures")->required();
   verb->add_flag("--json", flags->json, "Machine-readable result on stdout");
   verb->callback([flags, &exit_code] {
     Logger logger;

@@ -165,14 +165,14 @@ void AddRunCommands(CLI::App& app, int& exit_code) {
     const char* help;
     Stage until;
   } verbs[] = {
-      {"run", "All stages, from frames to the report; what an earlier run made is not made again", Stage::kReport},
+      {"run", "Run all stages, from frames to the report; what an earlier run made is reused", Stage::kReport},
       {"reconstruct", "Decode and triangulate: position.exr, normals, mesh.ply", Stage::kReconstruct},
       {"separate", "Direct and global light as EXR", Stage::kSeparate},
       {"normals", "Normals of photometric stereo as EXR", Stage::kNormals},
       {"skin", "Tell skin from hair, brows, eyes and nostrils: skin.exr", Stage::kSkin},
       {"srd", "Extract the spatial radiance distributions", Stage::kSrd},
       {"fit", "Fit the layers: layers_*.exr, quality.exr", Stage::kFit},
-      {"maps", "Fit the layers by all projectors, also the one that the fit leaves out: maps/", Stage::kMaps}};
+      {"maps", "Fit the layers by all projectors, including the one that the fit leaves out: maps/", Stage::kMaps}};
   for (const auto& v : verbs) {
     auto flags = std::make_shared<RunFlags>();
     flags->fit.run.until = v.until;
@@ -190,20 +190,21 @@ void AddRunCommands(CLI::App& app, int& exit_code) {
     verb->callback([flags, &exit_code] { exit_code = Execute(*flags); });
   }
   auto cleaned = std::make_shared<RunFlags>();
-  auto* clean = app.add_subcommand("clean", "Removes what the stages made and no fit of the session points to");
+  auto* clean = app.add_subcommand("clean", "Remove what the stages made and no fit of the session uses");
   clean->footer(
-      "Fits keep all their files; what is removed is made again where a later run wants it.\n"
-      "Examples:\n  stratalux-fit clean latest --store store --dry-run\n"
+      "Fits keep all their files; what is removed is made again when a later run needs it.\n"
+      "Examples:\n"
+      "  stratalux-fit clean latest --store store --dry-run\n"
       "  stratalux-fit clean s000017 --store store --keep-days 7\n"
       "  stratalux-fit clean --all --store store --keep-days 2\n"
-      "  stratalux-fit clean s000017 --store store --damaged   # only what is not what its record says");
+      "  stratalux-fit clean s000017 --store store --damaged   # only what differs from its record");
   AddStore(*clean, *cleaned);
-  clean->add_option("--keep-days", cleaned->clean.keep_days, "Keep what is younger")
+  clean->add_option("--keep-days", cleaned->clean.keep_days, "Keep what is younger than this many days")
       ->check(CLI::Range(0.0, 36500.0))
       ->capture_default_str();
   clean->add_flag("--damaged", cleaned->clean.damaged_only, "Only artifacts whose files were changed or are missing");
   clean->add_flag("--dry-run", cleaned->clean.dry_run, "Say what would go; remove nothing");
-  clean->add_flag("--all", cleaned->all, "Every session of the store; one that is being fitted is left, and said")
+  clean->add_flag("--all", cleaned->all, "Every session of the store; one that is being fitted is skipped, and named")
       ->excludes(clean->get_option("session"));
   clean->callback([cleaned, &exit_code] {
     Logger logger;
@@ -212,13 +213,14 @@ void AddRunCommands(CLI::App& app, int& exit_code) {
     exit_code = status.exit_code();
   });
   auto flags = std::make_shared<RunFlags>();
-  auto* report = app.add_subcommand("report", "Where the newest report of a session is");
+  auto* report = app.add_subcommand("report", "Print where the newest report of a session is");
   AddStore(*report, *flags);
   report->footer(
       "Example:\n  stratalux-fit report latest --store store --out seen   # a plain copy, of an encrypted session's, "
       "too");
-  report->add_option("--out", flags->out, "Folder for a copy of the fit's files, plain; logged, and found by `forget`");
-  report->add_flag("--path-only", flags->path_only, "Nothing but the path");
+  report->add_option("--out", flags->out,
+                     "Folder for a copy of the fit's files, unencrypted; logged, so that `forget` finds it");
+  report->add_flag("--path-only", flags->path_only, "Print only the path");
   report->callback([flags, &exit_code] {
     Logger logger;
     const Status status = PrintReport(*flags, logger);

@@ -37,7 +37,7 @@ Result<VisitFigures> FiguresOf(const ScaleFlags& flags) {
     return figures;
   }
   if (flags.store.empty())
-    return Status::Usage("what a visitor costs: --store, to measure it there, or --figures, to read it");
+    return Status::Usage("what does a visitor cost? Give --store to measure it there, or --figures to read it");
   SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(flags.store, db::AccessMode::kReadOnly));
   return MeasureVisits(store);
 }
@@ -58,12 +58,11 @@ std::string Clock(double hours) {
 std::string TextOf(const VisitFigures& figures, const FleetOptions& fleet, const std::vector<FleetDay>& days) {
   std::string text = Formatted(
       "A visitor: %.1f s of capture, %.2f GB of frames, %.0f s of a core (median of %zu fits), %.2f GB of fits, %.2f "
-      "GB "
-      "of artifacts\n",
+      "GB of artifacts\n",
       figures.capture_s, figures.frames_bytes / kGb, Median(figures.fit_cpu_s), figures.fit_cpu_s.size(),
       figures.fit_bytes / kGb, figures.artifact_bytes / kGb);
   text +=
-      Formatted("%d kiosks of %g visitors a day, %d machines of %d cores, %s to %s: asked for is\n", fleet.kiosks,
+      Formatted("%d kiosks of %g visitors a day, %d machines of %d cores, %s to %s: the demand is\n", fleet.kiosks,
                 fleet.visitors, fleet.machines, fleet.cores, Clock(fleet.from_h).c_str(), Clock(fleet.until_h).c_str());
   const std::pair<const char*, double>* first = nullptr;
   const auto shares = Shares(LoadOf(figures, fleet));
@@ -71,7 +70,7 @@ std::string TextOf(const VisitFigures& figures, const FleetOptions& fleet, const
     text += Formatted("  %5.1f %% of %s\n", 100.0 * share.second, share.first);
     if (first == nullptr || share.second > first->second) first = &share;
   }
-  text += Formatted("  first at its end: %s\n\n", first->first);
+  text += Formatted("  first to run out: %s\n\n", first->first);
   text +=
       "day  captured  left  on kiosks  queue  in the morning  fitted  set aside   done  cores busy  store TB  kiosk "
       "GB\n";
@@ -121,7 +120,8 @@ Status PrintScale(const ScaleFlags& flags) {
 void AddScaleCommand(CLI::App& batch, int& exit_code) {
   auto flags = std::make_shared<ScaleFlags>();
   FleetOptions& fleet = flags->fleet;
-  auto* scale = batch.add_subcommand("scale", "Nights of many kiosks, simulated on what a visitor of this store costs");
+  auto* scale =
+      batch.add_subcommand("scale", "Simulate nights of many kiosks, from what a visitor of this store costs");
   scale->footer(
       "Examples:\n"
       "  stratalux-fit batch scale --store store --kiosks 50 --visitors 300 --machines 4 --cores 16\n"
@@ -134,7 +134,7 @@ void AddScaleCommand(CLI::App& batch, int& exit_code) {
     scale->add_option(name, value, help)->capture_default_str();
   };
   number("--kiosks", fleet.kiosks, "Kiosks");
-  number("--visitors", fleet.visitors, "Visitors of a kiosk and day, at random times");
+  number("--visitors", fleet.visitors, "Visitors per kiosk and day, at random times");
   number("--opens", fleet.opens_h, "Hour at which kiosks open");
   number("--closes", fleet.closes_h, "Hour at which they close");
   number("--between", fleet.between_s, "Seconds of a visit besides its capture");
@@ -142,21 +142,21 @@ void AddScaleCommand(CLI::App& batch, int& exit_code) {
   number("--link", fleet.link_mbit, "Mbit/s of a kiosk's link");
   number("--ingress", fleet.ingress_mbit, "Mbit/s into the store, shared by the pulls under way");
   number("--from", fleet.from_h, "Hour at which a night begins");
-  number("--until", fleet.until_h, "Hour at which it ends; the same: round the clock");
+  number("--until", fleet.until_h, "Hour at which it ends; the same hour: round the clock");
   number("--machines", fleet.machines, "Machines that fit");
-  number("--cores", fleet.cores, "Cores of each, a worker a core");
-  number("--attempts", fleet.attempts, "Attempts a visitor, then it is set aside");
+  number("--cores", fleet.cores, "Cores of each machine, one worker per core");
+  number("--attempts", fleet.attempts, "Attempts per visitor before it is set aside");
   number("--away", fleet.away_share, "Share of kiosks that no pull reaches, drawn each day");
-  number("--crashes", fleet.crash_share, "Share of attempts that die on their way");
-  number("--hopeless", fleet.hopeless_share, "Share of visitors of whom each attempt dies");
+  number("--crashes", fleet.crash_share, "Share of attempts that crash before they finish");
+  number("--hopeless", fleet.hopeless_share, "Share of visitors of whom every attempt crashes");
   number("--machine-days", fleet.machine_days, "Days between failures of a machine, on average; 0: none fails");
-  number("--repair", fleet.repair_h, "Hours until it is back");
+  number("--repair", fleet.repair_h, "Hours until a failed machine is back");
   number("--frames-days", fleet.frames_days, "Days that frames are kept in the store");
   number("--artifacts-days", fleet.artifacts_days, "Days that artifacts are kept, until `stratalux-fit clean`");
   number("--fits-days", fleet.fits_days, "Days that fits are kept");
   number("--kiosk-days", fleet.kiosk_days, "Days that a kiosk keeps what was pulled");
   number("--days", fleet.days, "Days to simulate");
-  number("--seed", fleet.seed, "Of the random numbers");
+  number("--seed", fleet.seed, "Seed of the random numbers");
   scale->add_flag("--json", flags->json, "Machine-readable");
   OnCall(*scale, exit_code, [flags](Logger&) { return PrintScale(*flags); });
 }

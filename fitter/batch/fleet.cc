@@ -430,7 +430,7 @@ class Fleet {
 
 Status Within(const char* name, double value, double low, double high) {
   if (value >= low && value <= high) return Status::Ok();  // nan is not
-  return Status::Usage(Formatted("%s %g: %g to %g", name, value, low, high));
+  return Status::Usage(Formatted("%s %g: allowed are %g to %g", name, value, low, high));
 }
 
 }  // namespace
@@ -440,7 +440,7 @@ Status FleetOptions::Validate() const {
   SLX_RETURN_IF_ERROR(Within("visitors", visitors, 1e-3, 1e5));
   SLX_RETURN_IF_ERROR(Within("opens", opens_h, 0.0, 24.0));
   SLX_RETURN_IF_ERROR(Within("closes", closes_h, opens_h, 24.0));
-  if (closes_h <= opens_h) return Status::Usage("a kiosk closes after it opens");
+  if (closes_h <= opens_h) return Status::Usage("a kiosk must close after it opens");
   SLX_RETURN_IF_ERROR(Within("between", between_s, 0.0, kHour));
   SLX_RETURN_IF_ERROR(Within("pull-every", pull_every_h, 1.0 / kMinute, 24.0));
   SLX_RETURN_IF_ERROR(Within("link", link_mbit, 1e-3, 1e9));

@@ -81,7 +81,7 @@ uid_t AskersOf(const fs::path& results) {
 
 Status CheckOwner(const fs::path& path, const struct stat& info, uid_t asker) {
   if (info.st_uid != asker && info.st_uid != geteuid())
-    return Status::Usage(Formatted("%s is of the user %u, not of %u: not answered", path.c_str(),
+    return Status::Usage(Formatted("%s belongs to user %u, not to %u: not answered", path.c_str(),
                                    static_cast<unsigned>(info.st_uid), static_cast<unsigned>(asker)));
   if ((info.st_mode & (S_IWGRP | S_IWOTH)) != 0)
     return Status::Usage(path.string() + ": others may write to it: not answered (chmod go-w)");
@@ -92,11 +92,11 @@ Status CheckOwner(const fs::path& path, const struct stat& info, uid_t asker) {
 Result<std::string> ReadOwn(const fs::path& file, uid_t asker) {
   const UniqueFd fd(open(file.c_str(), O_RDONLY | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC));
   if (fd.get() < 0 && errno == ENOENT) return Status::NotFound(file.string() + " is gone");
-  if (fd.get() < 0 && errno == ELOOP) return Status::Usage(file.string() + " is no plain file: not answered");
+  if (fd.get() < 0 && errno == ELOOP) return Status::Usage(file.string() + " is not a plain file: not answered");
   struct stat info {};
   if (fd.get() < 0 || fstat(fd.get(), &info) != 0)
     return Status::Failed("cannot open " + file.string() + ": " + std::strerror(errno));
-  if (!S_ISREG(info.st_mode)) return Status::Usage(file.string() + " is no plain file: not answered");
+  if (!S_ISREG(info.st_mode)) return Status::Usage(file.string() + " is not a plain file: not answered");
   SLX_RETURN_IF_ERROR(CheckOwner(file, info, asker));
   std::string text(kMostAskBytes + 1, '\0');
   size_t filled = 0;
@@ -107,7 +107,7 @@ Result<std::string> ReadOwn(const fs::path& file, uid_t asker) {
     if (got == 0) break;
     filled += static_cast<size_t>(got);
   }
-  if (filled > kMostAskBytes) return Status::Usage(file.string() + " is too large for an ask: not answered");
+  if (filled > kMostAskBytes) return Status::Usage(file.string() + " is too large for a request: not answered");
   text.resize(filled);
   return text;
 }
@@ -124,10 +124,10 @@ Result<Ask> ReadAsk(const fs::path& results, const fs::path& file, uid_t asker, 
   Ask ask;
   SLX_ASSIGN_OR_RETURN(ask.shard, ParseShard(shard).WithContext(file.string()));
   const auto key = db::ReaderPublicKeyOf(reader);
-  if (!key) return Status::Usage(file.string() + ": '" + reader + "' is no public key: not answered");
+  if (!key) return Status::Usage(file.string() + ": '" + reader + "' is not a public key: not answered");
   ask.reader = *key;
   if (AskFile(results, db::IdOf(ask.reader)) != file)
-    return Status::Usage(file.string() + " names another key than its own: not answered");
+    return Status::Usage(file.string() + " names a key other than its own: not answered");
   return ask;
 }
 
@@ -172,7 +172,7 @@ Result<std::vector<db::SessionKey>> OpenAnswer(const fs::path& folder, const db:
   std::vector<db::SessionKey> keys;
   for (const std::string& session : sessions) {
     if (std::none_of(places.begin(), places.end(), [&](size_t place) { return plan.visits[place].session == session; }))
-      return Status::Integrity((folder / kAnswerFile).string() + ": '" + session + "' is none of shard " +
+      return Status::Integrity((folder / kAnswerFile).string() + ": '" + session + "' does not belong to shard " +
                                ToText(shard));
     const fs::path file = db::SealedKeyFile(folder / session, db::IdOf(own.public_key()));
     const auto header = db::ReadSealedKeyHeader(file);
@@ -224,7 +224,7 @@ Result<std::vector<db::SessionKey>> AskForKeys(const fs::path& results, const Sh
     const auto left = std::chrono::ceil<std::chrono::milliseconds>(end - std::chrono::steady_clock::now());
     if (left.count() <= 0)
       return Status(StatusCode::kNotFound,
-                    Formatted("nobody answered %s within %.1f min: `stratalux-fit batch keys --answer` does, where the "
+                    Formatted("nobody answered %s within %.1f min: run `stratalux-fit batch keys --answer` where the "
                               "reader's key is",
                               file.c_str(), std::chrono::duration<double, std::ratio<60>>(wait).count()));
     pollfd asked{stop, POLLIN, 0};
@@ -244,7 +244,7 @@ KeyAnswers AnswerAsks(const fs::path& store, const fs::path& results, const Shar
     return answers;
   }
   if (!S_ISDIR(info.st_mode)) {
-    refuse(keys.string() + " is no folder: nobody is answered");
+    refuse(keys.string() + " is not a folder: nobody is answered");
     return answers;
   }
   const uid_t asker = AskersOf(results);
@@ -252,8 +252,8 @@ KeyAnswers AnswerAsks(const fs::path& store, const fs::path& results, const Shar
     refuse(own.message());
     return answers;
   }
-  const auto lock =
-      db::FileLock::TryTake(results / kAnswerLock, "another program answers the asks of " + results.string());
+  const auto lock = db::FileLock::TryTake(results / kAnswerLock,
+                                          "another program already answers the requests in " + results.string());
   if (!lock.ok()) {
     refuse(lock.status().message());
     return answers;

@@ -312,9 +312,9 @@ Result<MergeOutcome> MergeShards(const fs::path& store, const fs::path& given, M
   if (mode == MergeMode::kKeep) return outcome;
   if (!outcome.unread.empty()) {
     for (const std::string& problem : outcome.problems) logger.Warning(problem);
-    return Status::Failed(results.string() + " stays: fits may lie in what could not be read of it (" +
+    return Status::Failed(results.string() + " is kept: the part of it that could not be read may hold fits (" +
                           std::to_string(outcome.unread.size()) + " files, such as: " + outcome.unread.front() +
-                          "). Merge again once it can be read; what is lost for good, remove by hand");
+                          "). Merge again once it can be read; remove by hand what is lost for good");
   }
   // Aside first, where that can be: who looks for a plan or an ask meanwhile finds none, not half of them.
   fs::path aside = results;

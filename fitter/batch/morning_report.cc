@@ -42,7 +42,7 @@ std::string Headline(const MorningFacts& facts) {
   if (const int dropped = night.Count(NightEventKind::kDropped))
     text += Formatted(", %d withdrew or were forgotten", dropped);
   if (!night.ended)
-    text += "; the night was cut off or still runs";
+    text += "; the night was cut off or is still running";
   else if (!night.end_reason.empty())
     text += "; " + night.end_reason;
   if (!facts.outliers.empty()) text += Formatted("; %zu figures to look at", facts.outliers.size());
@@ -85,10 +85,9 @@ ReportTable LeftOutTable(const NightStatus& night) {
 }
 
 ReportTable OutlierTable(const MorningFacts& facts) {
-  ReportTable table{
-      Formatted("Further than 3.5 standard deviations from %zu earlier fits of this store", facts.earlier),
-      {"session", "figure", "value", "usual"},
-      {}};
+  ReportTable table{Formatted("More than 3.5 standard deviations from %zu earlier fits of this store", facts.earlier),
+                    {"session", "figure", "value", "usual"},
+                    {}};
   for (const Outlier& outlier : facts.outliers)
     table.rows.push_back({outlier.session, outlier.figure, Fixed(outlier.value),
                           Formatted("%s +- %s", Fixed(outlier.usual).c_str(), Fixed(outlier.spread).c_str())});
@@ -106,7 +105,7 @@ ReportTable FittedTable(const MorningFacts& facts) {
     for (const auto& [name, value] : visit.figures)
       if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
   std::sort(names.begin(), names.end());
-  ReportTable table{"Fitted. Of encrypted visits the report is sealed: `stratalux-fit report SESSION --out FOLDER`",
+  ReportTable table{"Fitted. The reports of encrypted visits are sealed: `stratalux-fit report SESSION --out FOLDER`",
                     {"session", "s", "processor s", "GiB", "attempts"},
                     {}};
   table.header.insert(table.header.end(), names.begin(), names.end());

@@ -157,7 +157,7 @@ Status Night::Enqueue(const NightChoice& choice) {
         job.state == db::JobState::kCancelled) {
       left_out.push_back({visit.session, LeftOut::kSetAside,
                           "job " + std::to_string(*id) + " is " + ToString(job.state) + ": " + job.last_error +
-                              "; `stratalux-fit batch retry " + std::to_string(*id) + "` begins anew"});
+                              "; `stratalux-fit batch retry " + std::to_string(*id) + "` starts it again"});
       continue;
     }
     largest_sites_ = std::max(largest_sites_, visit.sites);
@@ -253,7 +253,7 @@ Status Night::Launch(const db::Job& job) {
     attempt->sites = what.at("sites").get<int64_t>();
     for (const auto& argument : what.at("arguments")) command.push_back(argument.get<std::string>());
   } catch (const nlohmann::json::exception& error) {
-    return Fail(job, event, std::string("its options are no night's: ") + error.what(), false);
+    return Fail(job, event, std::string("its options are not those of a night: ") + error.what(), false);
   }
   const auto row = MayGoOn(session);
   if (!row.ok()) return NotBegun(job, event, row.status());
@@ -361,7 +361,7 @@ Status Night::Watch() {
     }
   }
   if (worst == nullptr || used <= options_.memory_bytes || !worst->killed.empty()) return Status::Ok();
-  worst->killed = "took " + InGib(worst->worker.ResidentBytes()) + " of memory; all workers together have " +
+  worst->killed = "took " + InGib(worst->worker.ResidentBytes()) + " of memory; all workers together may use " +
                   InGib(options_.memory_bytes) + " (--memory)";
   worst->worker.Signal(SIGKILL);
   return Status::Ok();
@@ -397,7 +397,7 @@ Status Night::Finish(Attempt& attempt, const WorkerEnd& end) {
                  : end.signal != 0       ? Formatted("ended by signal %d (%s)", end.signal, strsignal(end.signal))
                                          : LastError(attempt.log);
   if (event.reason.empty())
-    event.reason = "ended with exit code " + std::to_string(end.exit_code) + " and said nothing";
+    event.reason = "ended with exit code " + std::to_string(end.exit_code) + " and gave no reason";
   // In the same words twice: it is no accident.
   const bool repeats = end.exit_code >= 0 && event.reason == attempt.job.last_error;
   const bool again = end.exit_code < 0 || (WorthTryingAgain(end.exit_code) && !repeats);
@@ -487,7 +487,7 @@ Result<NightOutcome> Night::Run(const NightChoice& choice) {
 }  // namespace
 
 Status NightOptions::Validate() const {
-  if (workers < 1 || threads < 1) return Status::Usage("a night needs a worker and a thread for it");
+  if (workers < 1 || threads < 1) return Status::Usage("a night needs at least one worker with one thread");
   if (attempts < 1) return Status::Usage("attempts " + std::to_string(attempts) + ": at least 1");
   if (memory_bytes <= 0) return Status::Usage("no memory for the workers");
   if (visit_limit.count() <= 0 || lease.count() <= 0 || back_off.count() < 0)

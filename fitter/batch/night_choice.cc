@@ -45,7 +45,7 @@ Result<Verdict> Judge(const ChoiceOptions& options, const db::SessionSummary& se
   const auto folder = std::filesystem::path(run.store) / "sessions" / session.info.id;
   if (options.key == KeyHere::kNot && outcome->sealed && db::ListSealedKeys(folder).empty())
     return Verdict{LeftOut::kKey,
-                   Status::Failed("encrypted, and its key is sealed to nobody who could fit it elsewhere "
+                   Status::Failed("encrypted, and its key is not sealed to anybody who could fit it elsewhere "
                                   "(`stratalux-db key share`); `stratalux-fit batch run` fits it here")};
   visit = {outcome->session, outcome->fit, outcome->sites, outcome->sealed};
   if (outcome->was_complete) return Verdict{LeftOut::kComplete, Status::Failed("fit " + outcome->fit + " is complete")};
@@ -92,7 +92,8 @@ Result<NightChoice> ChooseNight(const ChoiceOptions& options, Logger& logger) {
     if (!verdict.reason.ok())
       choice.left_out.push_back({session.info.id, verdict.why, verdict.reason.message()});
     else if (options.most > 0 && choice.visits.size() >= static_cast<size_t>(options.most))
-      choice.left_out.push_back({session.info.id, LeftOut::kQuota, "the night takes " + std::to_string(options.most)});
+      choice.left_out.push_back(
+          {session.info.id, LeftOut::kQuota, "the night takes at most " + std::to_string(options.most)});
     else
       choice.visits.push_back(std::move(visit));
   }

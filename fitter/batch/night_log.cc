@@ -91,7 +91,7 @@ std::string ToJson(const NightEvent& event) {
 Result<NightEvent> ParseNightEvent(const std::string& line) {
   SLX_RETURN_IF_ERROR(CheckNesting(line));
   const Json json = Json::parse(line, nullptr, false);
-  if (!json.is_object()) return Status::Integrity("no event of a night: " + line.substr(0, 80));
+  if (!json.is_object()) return Status::Integrity("not an event of a night: " + line.substr(0, 80));
   try {
     NightEvent event;
     const auto name = json.at("event").get<std::string>();
@@ -115,7 +115,7 @@ Result<NightEvent> ParseNightEvent(const std::string& line) {
     if (event.at.ns < 0) return Status::Integrity("an event at " + std::to_string(event.at.ns) + " ns");
     return event;
   } catch (const Json::exception& error) {
-    return Status::Integrity(std::string("no event of a night: ") + error.what());
+    return Status::Integrity(std::string("not an event of a night: ") + error.what());
   }
 }
 
@@ -131,7 +131,7 @@ Result<NightLog> NightLog::Open(const fs::path& store, const std::string& name) 
 
 Status NightLog::Add(const NightEvent& event) {
   if (event.session.find('/') != std::string::npos || event.session.starts_with('.'))
-    return Status::Usage("'" + event.session + "' is no session: what a night says stays in its folder");
+    return Status::Usage("'" + event.session + "' is not a session: a night writes only to its own folder");
   NightEvent said = event;
   // A ledger that cannot be read for the moment ends no night: the line goes where a forgetting finds it. Of whose
   // session is gone, that may be over.

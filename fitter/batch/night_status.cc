@@ -67,7 +67,7 @@ Status CheckNewestNight(const std::filesystem::path& store, WallNs since) {
   const WallNs began = night.began.ns != 0 ? night.began : night.ended.value_or(WallNs{});
   if (began < since) return degraded(none);
   const std::string name = "the night of " + ToIso8601(began);
-  if (!night.ended) return degraded(name + " was cut off, or still runs");
+  if (!night.ended) return degraded(name + " was cut off, or is still running");
   if (night.ended_by_error) return degraded(name + " was ended by an error: " + night.end_reason);
   if (const int failed = night.Count(NightEventKind::kFailed) + night.Count(NightEventKind::kSetAside); failed > 0)
     return degraded(name + ": " + std::to_string(failed) + " visitors could not be fitted");

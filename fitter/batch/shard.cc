@@ -16,8 +16,9 @@ namespace fs = std::filesystem;
 
 Status CheckMachine(const ShardPlan& plan) {
   if (plan.isa == KernelIsa()) return Status::Ok();
-  return Status::Usage("the plan's fits are of the instruction set " + plan.isa + ", this machine's would be of " +
-                       KernelIsa() + ": let machines of the planning one's kind run it (Slurm: --constraint)");
+  return Status::Usage("the plan's fits are for the instruction set " + plan.isa +
+                       ", this machine would make them for " + KernelIsa() +
+                       ": run it on machines like the one that made the plan (Slurm: --constraint)");
 }
 
 class ShardRun {
@@ -120,8 +121,8 @@ Result<NightChoice> ShardRun::Choose(const ShardStore& store, const std::vector<
       continue;
     }
     if (one != chosen.end()) {
-      event.reason = "would be fit " + one->second.fit + " here, and is " + visit->fit +
-                     " by the plan: its frames, or the program that made the plan (" + plan_.program + "), are others";
+      event.reason = "would be fit " + one->second.fit + " here, but is " + visit->fit +
+                     " in the plan: its frames, or the program that made the plan (" + plan_.program + "), differ";
     } else if (left == left_out.end()) {
       event.reason = store.Trouble(visit->session).message();
     } else if (left->second.why == LeftOut::kComplete) {

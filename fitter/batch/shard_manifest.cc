@@ -50,11 +50,11 @@ Result<ShardVisit> ShardVisitFrom(const Json& json) {
   SLX_ASSIGN_OR_RETURN(visit.end, ParseNightEvent(json.at("end").dump()));
   SLX_RETURN_IF_ERROR(CheckId(visit.end.session));
   if (!IsEnd(visit.end.kind))
-    return Status::Integrity(std::string("'") + ToString(visit.end.kind) + "' is no end of a visitor");
+    return Status::Integrity(std::string("'") + ToString(visit.end.kind) + "' does not end a visitor");
   for (const Json& one : json.at("made")) {
     visit.made.push_back({one.at("folder"), one.at("xxh3_128")});
     if (!IsPlace(visit.made.back().place))
-      return Status::Integrity("'" + visit.made.back().place + "' is no folder that a shard makes");
+      return Status::Integrity("'" + visit.made.back().place + "' is not a folder that a shard makes");
   }
   return visit;
 }
@@ -100,7 +100,7 @@ Result<ShardManifest> ReadManifest(const fs::path& file, const ShardPlan& plan) 
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
   if (db::CheckOwnHash(text) != db::OwnHash::kRight)
     return Status::Integrity(file.string() +
-                             " does not match its own hash: the shard writes it anew when it runs again");
+                             " does not match its own hash: the shard writes it again when it next runs");
   SLX_RETURN_IF_ERROR(CheckNesting(text).WithContext(file.string()));
   try {
     const Json json = Json::parse(text);
@@ -176,7 +176,7 @@ Status CheckRecords(const fs::path& session_results, const std::vector<MadeFolde
       return Status::Failed("cannot look at " + record.string() + ": " + error.message());
     SLX_ASSIGN_OR_RETURN(const std::string hash, db::HashOfFile(record));
     if (hash != one.record_hash)
-      return Status::Integrity(record.string() + " is not the one that its manifest speaks of");
+      return Status::Integrity(record.string() + " is not the one that its manifest describes");
   }
   return Status::Ok();
 }

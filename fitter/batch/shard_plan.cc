@@ -86,8 +86,8 @@ Result<fs::path> WritePlan(const fs::path& results, const ShardPlan& plan) {
   std::error_code error;
   if (fs::exists(file, error))
     return Status::Usage(file.string() +
-                         " is there: shards of it may be at work. Take another folder, or, once it is merged "
-                         "(`stratalux-fit batch merge`), remove this one");
+                         " exists: its shards may be at work. Use another folder, or remove this one once it is "
+                         "merged (`stratalux-fit batch merge`)");
   SLX_RETURN_IF_ERROR(db::MakeFolder(results));
   SLX_RETURN_IF_ERROR(db::ReplaceFile(file, TextOf(plan)));
   return file;
@@ -98,7 +98,7 @@ Result<ShardPlan> ReadPlan(const fs::path& results) {
   const auto text = ReadFile(file, kMostPictureBytes);
   if (text.status().code() == StatusCode::kNotFound)
     return Status::NotFound(file.string() + " is missing; `stratalux-fit batch plan --out " + results.string() +
-                            "` makes it, where the store is");
+                            "`, run where the store is, makes it");
   SLX_RETURN_IF_ERROR(text.status());
   if (db::CheckOwnHash(*text) != db::OwnHash::kRight)
     return Status::Integrity(file.string() + " does not match its own hash");
@@ -133,7 +133,7 @@ Result<ShardPlan> ReadPlan(const fs::path& results) {
 
 Status CheckId(const std::string& id) {
   const bool name = !id.empty() && !id.starts_with('.') && id.find('/') == std::string::npos && db::StaysInside(id);
-  return name ? Status::Ok() : Status::Integrity("'" + id + "' is no id of a session or a fit");
+  return name ? Status::Ok() : Status::Integrity("'" + id + "' is not an id of a session or a fit");
 }
 
 Result<Shard> ParseShard(const std::string& text) {
@@ -142,7 +142,7 @@ Result<Shard> ParseShard(const std::string& text) {
   const int read = std::sscanf(text.c_str(), "%9d/%9d%n", &shard.index, &shard.count, &length);
   if (read != 2 || static_cast<size_t>(length) != text.size() || shard.index < 1 || shard.index > shard.count ||
       shard.count > kMostShards)
-    return Status::Usage("shard " + text + ": I/N with 1 <= I <= N, such as 3/20");
+    return Status::Usage("shard " + text + ": expected I/N with 1 <= I <= N, such as 3/20");
   return shard;
 }
 

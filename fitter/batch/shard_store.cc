@@ -39,8 +39,8 @@ Status RefuseNetwork(const fs::path& scratch) {
                              kLustre, kCeph, kFuse, kGpfs, kBeeGfs})
     if (info.f_type == network)
       return Status::Usage("--scratch " + scratch.string() +
-                           " lies on a network file system, which SQLite does not bear; name a folder of a disk of "
-                           "this machine");
+                           " lies on a network file system, which SQLite does not support; give a folder on a disk "
+                           "of this machine");
   return Status::Ok();
 }
 

@@ -74,10 +74,10 @@ Result<std::string> SubmitArray(const fs::path& folder, const std::string& name,
 
 Status SlurmOptions::Validate() const {
   if (!(chunk_minutes > 0.0)) return Status::Usage("--chunk-minutes must be more than 0");
-  if (cpus < 1) return Status::Usage("--cpus: at least 1");
+  if (cpus < 1) return Status::Usage("--cpus must be at least 1");
   for (const std::string& directive : directives)
     if (!directive.starts_with("--") || directive.find('\n') != std::string::npos)
-      return Status::Usage("--sbatch " + directive + ": an option of sbatch, such as --partition=night");
+      return Status::Usage("--sbatch " + directive + ": expected an option of sbatch, such as --partition=night");
   return Status::Ok();
 }
 
@@ -86,7 +86,7 @@ Result<int> ShardCount(const ShardPlan& plan, const SlurmOptions& options) {
   for (const PlannedVisit& visit : plan.visits) {
     if (!visit.cost)
       return Status::Usage(
-          "how long a visitor takes is not known yet: nobody of this store was fitted. `stratalux-fit batch run "
+          "how long a visitor takes is not known yet: no visitor of this store was fitted. `stratalux-fit batch run "
           "--most 1` fits one here; then make the plan");
     seconds += visit.cost->cpu_seconds;
   }

@@ -14,7 +14,7 @@ Result<TimeOfDay> Parse(const std::string& text, const char* option) {
   int hour = -1, minute = -1, length = 0;
   const int read = std::sscanf(text.c_str(), "%2d:%2d%n", &hour, &minute, &length);
   if (read != 2 || static_cast<size_t>(length) != text.size() || hour < 0 || hour > 23 || minute < 0 || minute > 59)
-    return Status::Usage(std::string(option) + " " + text + ": a time of day, such as 07:00");
+    return Status::Usage(std::string(option) + " " + text + ": expected a time of day, such as 07:00");
   return TimeOfDay{hour, minute};
 }
 
@@ -48,7 +48,8 @@ Result<std::chrono::seconds> TimeSince(const std::string& text, std::time_t now,
 Result<bool> IsBetween(const std::string& from, const std::string& until, std::time_t now) {
   SLX_ASSIGN_OR_RETURN(const auto to_begin, TimeUntil(from, now, "--from"));
   SLX_ASSIGN_OR_RETURN(const auto to_end, TimeUntil(until, now));
-  if (to_begin == to_end) return Status::Usage("--from " + from + " --until " + until + ": two times of day");
+  if (to_begin == to_end)
+    return Status::Usage("--from " + from + " --until " + until + ": expected two different times of day");
   return to_end < to_begin;
 }
 

@@ -49,14 +49,14 @@ std::optional<VisitCost> CostHistory::Foresee(int64_t sites) const {
 Status CheckSeconds(double seconds) {
   constexpr double kMost = 1e9;
   if (seconds >= 0.0 && seconds <= kMost) return Status::Ok();
-  return Status::Integrity(Formatted("%g seconds that a visitor took; 0 to %g are some", seconds, kMost));
+  return Status::Integrity(Formatted("%g seconds cannot be what a visitor took; 0 to %g are allowed", seconds, kMost));
 }
 
 Status CheckCost(const VisitCost& cost) {
   constexpr int64_t kMostBytes = int64_t{1} << 50;
   if (cost.peak_bytes < 0 || cost.peak_bytes > kMostBytes)
-    return Status::Integrity(std::to_string(cost.peak_bytes) + " bytes that a visitor took; 0 to " +
-                             std::to_string(kMostBytes) + " are some");
+    return Status::Integrity(std::to_string(cost.peak_bytes) + " bytes cannot be what a visitor took; 0 to " +
+                             std::to_string(kMostBytes) + " are allowed");
   return CheckSeconds(cost.cpu_seconds);
 }
 

@@ -30,16 +30,17 @@ double SecondsOf(const std::vector<db::FrameRow>& frames) {
 
 Status Positive(const char* name, double value) {
   if (std::isfinite(value) && value > 0.0) return Status::Ok();
-  return Status::Usage(std::string("visitors' figures: ") + name + " " + nlohmann::json(value).dump() + ": above 0");
+  return Status::Usage(std::string("visitors' figures: ") + name + " " + nlohmann::json(value).dump() +
+                       ": must be above 0");
 }
 
 }  // namespace
 
 Status VisitFigures::Validate() const {
-  if (fit_cpu_s.empty()) return Status::Usage("visitors' figures: fit_cpu_s: no fit's time");
+  if (fit_cpu_s.empty()) return Status::Usage("visitors' figures: fit_cpu_s: needs the time of at least one fit");
   for (const double seconds : fit_cpu_s) SLX_RETURN_IF_ERROR(Positive("fit_cpu_s", seconds));
   SLX_RETURN_IF_ERROR(Positive("longest_stage_share", longest_stage_share));
-  if (longest_stage_share > 1.0) return Status::Usage("visitors' figures: longest_stage_share: at most 1");
+  if (longest_stage_share > 1.0) return Status::Usage("visitors' figures: longest_stage_share: must be at most 1");
   SLX_RETURN_IF_ERROR(Positive("capture_s", capture_s));
   SLX_RETURN_IF_ERROR(Positive("frames_bytes", frames_bytes));
   SLX_RETURN_IF_ERROR(Positive("artifact_bytes", artifact_bytes));
@@ -71,7 +72,8 @@ Result<VisitFigures> MeasureVisits(const db::SessionStore& store, size_t most) {
   }));
   if (figures.fit_cpu_s.empty())
     return Status::NotFound("store " + store.folder().string() +
-                            ": no visitor was fitted, so that nothing is known of what one costs; `stratalux-fit run`");
+                            ": no visitor was fitted, so it is not known what one costs; fit one with `stratalux-fit "
+                            "run`");
   figures.longest_stage_share = Median(shares);
   figures.capture_s = Median(captures);
   figures.frames_bytes = Median(frames_bytes);
@@ -115,7 +117,7 @@ Result<VisitFigures> ParseVisitFigures(const std::string& text) {
     } else if (key == "artifact_bytes") {
       good = number(figures.artifact_bytes);
     }
-    if (!good) return Status::Usage("visitors' figures: " + key + ": not a figure of them");
+    if (!good) return Status::Usage("visitors' figures: " + key + ": unknown, or not of its type");
   }
   SLX_RETURN_IF_ERROR(figures.Validate());
   return figures;

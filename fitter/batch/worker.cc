@@ -61,11 +61,13 @@ std::vector<std::string> EnvironmentOf(const std::map<std::string, std::string>&
 // The end of a pipe that holds them. A visitor's key is smaller than any pipe: nobody need read while this writes.
 Result<UniqueFd> PipeWith(const std::vector<db::SessionKey>& keys) {
   int ends[2] = {-1, -1};
-  if (pipe2(ends, O_CLOEXEC | O_NONBLOCK) != 0) return Status::Failed(std::string("no pipe: ") + std::strerror(errno));
+  if (pipe2(ends, O_CLOEXEC | O_NONBLOCK) != 0)
+    return Status::Failed(std::string("cannot create a pipe: ") + std::strerror(errno));
   UniqueFd out(ends[0]);
   const UniqueFd in(ends[1]);
   SLX_RETURN_IF_ERROR(db::WriteKeys(in.get(), keys));
-  if (fcntl(out.get(), F_SETFL, 0) != 0) return Status::Failed(std::string("a pipe: ") + std::strerror(errno));
+  if (fcntl(out.get(), F_SETFL, 0) != 0)
+    return Status::Failed(std::string("cannot set up a pipe: ") + std::strerror(errno));
   return out;
 }
 
@@ -85,7 +87,7 @@ Result<Worker> Worker::Start(const WorkerOptions& options) {
   const UniqueFd log(open(options.log.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, kPrivate));
   if (!log.ok()) return Errno(options.log.string());
   int ends[2] = {-1, -1};
-  if (pipe2(ends, O_CLOEXEC) != 0) return Errno("no pipe");
+  if (pipe2(ends, O_CLOEXEC) != 0) return Errno("cannot create a pipe");
   const UniqueFd heard(ends[0]);
   UniqueFd told(ends[1]);
   UniqueFd keys;
@@ -98,7 +100,7 @@ Result<Worker> Worker::Start(const WorkerOptions& options) {
   const std::vector<char*> argv = Pointers(options.command), environment = Pointers(variables);
   const pid_t parent = getpid();
   const pid_t child = fork();
-  if (child < 0) return Errno("no process for " + options.command[0]);
+  if (child < 0) return Errno("cannot start a process for " + options.command[0]);
   if (child == 0) Become(argv.data(), environment.data(), {log.get(), told.get(), keys.get()}, parent, options.nice);
   told = UniqueFd();
   Worker worker(child, UniqueFd(static_cast<int>(syscall(SYS_pidfd_open, child, 0))));

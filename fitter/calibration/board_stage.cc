@@ -87,8 +87,8 @@ Result<PoseObservation> ObservePose(const SessionFrames& frames, int pose, const
     if (of_projector.codes_light.empty())
       logger.Warning(
           pose_name + ": projector " + std::to_string(p) +
-          "'s finest row code was captured without its inverse: whether the board held still is known by the "
-          "white frames alone");
+          "'s finest row code was captured without its inverse: only the white frames tell whether the board held "
+          "still");
     pictures.push_back(std::move(of_projector));
   }
   SLX_ASSIGN_OR_RETURN(const auto corners, FindStillBoard(pictures, options.board, options.observe));
@@ -104,7 +104,7 @@ Result<PoseObservation> ObservePose(const SessionFrames& frames, int pose, const
     SLX_ASSIGN_OR_RETURN(const auto decoded, DecodeProjector(frames, p, pose, code.columns, code.rows, noise));
     auto seen = LookUpCorners(decoded.map, corners, {code.columns, code.rows}, options.observe);
     if (!seen.ok()) return seen.status().WithContext(name);
-    if (!seen->seen) logger.Warning(pose_name + ": " + name + " lights too few corners; it sits this pose out");
+    if (!seen->seen) logger.Warning(pose_name + ": " + name + " lights too few corners; it is left out of this pose");
     for (size_t i = 0; seen->seen && i < corners.size(); ++i)
       observation.corners[i].projector_px[p] = seen->column_row[i];
   }
@@ -132,7 +132,7 @@ DeviceSize ProjectorSize(const SessionFrames& frames, const BoardStageOptions& o
   if (!frames.plan() && (devices.projector_width == 0 || devices.projector_height == 0))
     logger.Warning("session " + frames.info().id + " does not say how large its projectors are: taken as " +
                    std::to_string(code.columns) + "x" + std::to_string(code.rows) +
-                   ", all that their codes can number; give --projector-size");
+                   ", the largest size that their codes can number; give --projector-size");
   return {code.columns, code.rows};
 }
 

@@ -167,7 +167,8 @@ void Measure(GeometryReport& report) {
 Status CalibrateOptions::Validate() const {
   if (known_camera) SLX_RETURN_IF_ERROR(known_camera->Validate().WithContext("known camera"));
   if (!(reject_sigmas >= 3.0))
-    return Status::Usage("reject_sigmas = " + std::to_string(reject_sigmas) + " would take good corners; at least 3");
+    return Status::Usage("reject_sigmas = " + std::to_string(reject_sigmas) +
+                         " would reject good corners; allowed: at least 3");
   return Status::Ok();
 }
 

@@ -144,8 +144,8 @@ Status CheckNotExchanged(const CalibrationObservations& observations, const Devi
           continue;
         return Status::Failed(observations.poses[k].name + ": projectors " + std::to_string(p) + " and " +
                               std::to_string(q) +
-                              " are exchanged, other poses show them the other way round; plug "
-                              "their cables as they were and capture this pose again");
+                              " are exchanged: other poses show them the other way round; plug their cables in as "
+                              "they were and capture this pose again");
       }
   return Status::Ok();
 }

@@ -117,7 +117,7 @@ Result<LightField> FitLightField(const std::vector<FlatSample>& samples, const R
   if (at.vignetting_is_free()) {
     field.vignetting_sd = sd_at_edge(0);
     if (field.vignetting_sd > kMaxVignettingSd)
-      return Status::Failed("vignetting and fall-off are not told apart (to " +
+      return Status::Failed("vignetting and fall-off cannot be told apart (known only to " +
                             std::to_string(100.0 * field.vignetting_sd) + " % at the edge)");
   }
   for (int p = 0; p < static_cast<int>(projectors); ++p) {

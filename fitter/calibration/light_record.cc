@@ -129,7 +129,7 @@ std::string LightText(const LightReport& report) {
         Formatted("  flat, session %s: %.0f mm away, tilt %.1f degrees, flat to %.2f mm, light explained to %.2f %%\n",
                   f.session.c_str(), f.distance_mm, f.tilt_deg, f.plane_rms_mm, 100.0 * f.residual);
   for (const ProjectorLightReport& p : report.projectors) AppendProjector(text, p);
-  for (const std::string& kept : report.carried_over) text += "  kept from the record before: " + kept + "\n";
+  for (const std::string& kept : report.carried_over) text += "  kept from the earlier record: " + kept + "\n";
   return text;
 }
 

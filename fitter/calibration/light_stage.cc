@@ -243,8 +243,8 @@ void LightStage::UseCameraResponse(const std::string& session, const ExposureRam
            "let the lamps warm up, check the camera's exposure setting, and capture the flat session again");
   if (r.reached < kMinReached)
     Warn("session " + session + ": the exposure ramp reaches " + Percent(r.reached) +
-             " of the camera's range; its response above that is a straight continuation",
-         "a longer exposure (--exposure) for the flat session");
+             " of the camera's range; above that its response is continued in a straight line",
+         "capture the flat session with a longer exposure (--exposure)");
 }
 
 Status LightStage::MeasureProjectors() {
@@ -401,7 +401,7 @@ void LightStage::UseLightField(std::vector<FlatTarget>& targets) {
   auto field = FitLightField(samples, record_, options_.target_albedo, VignettingFit::kFree);
   if (!field.ok()) {
     Warn(field.status().message() + "; the camera's vignetting stays as it was",
-         "more flat sessions: the target nearer, farther and tilted");
+         "capture more flat sessions, with the target nearer, farther and tilted");
     Keep("vignetting", field.status().message());
     field = FitLightField(samples, record_, options_.target_albedo, VignettingFit::kKnown);
   } else {
@@ -429,7 +429,7 @@ void LightStage::UseLightField(std::vector<FlatTarget>& targets) {
     if (residual > kMaxFieldResidual)
       Refuse("session " + targets[k].report.session + ": the target's light deviates from the model by " +
                  Percent(residual),
-             "a matt, evenly white, clean target; nothing else in the light; lamps warm");
+             "use a matt, evenly white, clean target with nothing else in the light, and warm lamps");
   }
 }
 

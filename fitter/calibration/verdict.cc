@@ -88,7 +88,8 @@ void JudgeHeldOut(const GeometryReport& report, const VerdictOptions& options, F
   for (size_t d = 0; d < report.sigma_px.size(); ++d) {
     const double training = report.training_total.Rms(d), held_out = report.held_out_total.Rms(d);
     if (held_out <= options.max_held_out_ratio * training + options.negligible_px) continue;
-    findings.Refuse(Formatted("%s: a pose that was left out is predicted to %.3f px, those used fit to %.3f px",
+    findings.Refuse(Formatted("%s: a pose that was left out is predicted to within %.3f px, those that were used fit "
+                              "to within %.3f px",
                               DeviceName(d).c_str(), held_out, training),
                     "the poses do not determine the model: capture more of them, spread over the picture and tilted; a "
                     "simpler one (--distortion k1) needs fewer");
@@ -128,7 +129,7 @@ void JudgeAmounts(const GeometryReport& report, const VerdictOptions& options, F
     if (report.coverage[d] < options.advised_coverage)
       findings.Warn(
           Formatted("%s: corners in %.0f %% of the picture", DeviceName(d).c_str(), 100.0 * report.coverage[d]),
-          "bring the board to where there are none (coverage map)");
+          "bring the board to where there are no corners yet (coverage map)");
 }
 
 // How many times farther our projectors stand from the camera.
@@ -161,7 +162,7 @@ std::vector<Finding> JudgeCalibration(const GeometryReport& report, const Verdic
 std::vector<Finding> JudgeGiven(const RigGeometry& given, const GeometryReport& report, const VerdictOptions& options) {
   Findings findings;
   if (given.projectors.size() != report.bundle.rig.projectors.size()) {
-    findings.Refuse(Formatted("%zu projectors, the corners are of %zu", given.projectors.size(),
+    findings.Refuse(Formatted("%zu projectors, but the corners come from %zu", given.projectors.size(),
                               report.bundle.rig.projectors.size()),
                     "use a calibration of this rig");
     return std::move(findings.list);
@@ -169,7 +170,7 @@ std::vector<Finding> JudgeGiven(const RigGeometry& given, const GeometryReport& 
   DeviceErrors total(report.sigma_px.size());
   for (const PoseObservation& pose : report.used.poses) {
     const auto fitted = FitPose(given, report.sigma_px, report.used.board, pose);
-    if (!fitted) findings.Refuse(pose.name + ": no place of the board fits", "calibrate again");
+    if (!fitted) findings.Refuse(pose.name + ": no position of the board fits", "calibrate again");
     if (fitted) total.Add(fitted->errors);
   }
   for (size_t d = 0; d < report.sigma_px.size(); ++d) {
@@ -177,11 +178,11 @@ std::vector<Finding> JudgeGiven(const RigGeometry& given, const GeometryReport& 
     JudgeModel(theirs, DeviceName(d), options, findings);
     for (const auto& [name, f, g] : {std::tuple{"fx", theirs.fx, ours.fx}, std::tuple{"fy", theirs.fy, ours.fy}})
       if (std::abs(f / g - 1.0) > options.max_focal)
-        findings.Refuse(Formatted("%s: %s = %.1f px, the corners say %.1f", DeviceName(d).c_str(), name, f, g),
+        findings.Refuse(Formatted("%s: %s = %.1f px, but the corners say %.1f", DeviceName(d).c_str(), name, f, g),
                         "a low training error does not make it right: calibrate again");
     if (total.Rms(d) > options.max_held_out_ratio * report.training_total.Rms(d) + options.negligible_px)
-      findings.Refuse(Formatted("%s: explains the corners to %.3f px, %.3f px is possible", DeviceName(d).c_str(),
-                                total.Rms(d), report.training_total.Rms(d)),
+      findings.Refuse(Formatted("%s: explains the corners to within %.3f px, but %.3f px is possible",
+                                DeviceName(d).c_str(), total.Rms(d), report.training_total.Rms(d)),
                       "calibrate again");
   }
   return std::move(findings.list);
@@ -192,9 +193,9 @@ std::vector<Finding> CompareWithKnownRig(const RigGeometry& known, const Geometr
   Findings findings;
   const RigGeometry& ours = report.bundle.rig;
   if (known.projectors.size() != ours.projectors.size()) {
-    findings.Warn(
-        Formatted("%zu projectors, the earlier calibration has %zu", ours.projectors.size(), known.projectors.size()),
-        "none, if the rig was changed");
+    findings.Warn(Formatted("%zu projectors, but the earlier calibration has %zu", ours.projectors.size(),
+                            known.projectors.size()),
+                  "nothing to do if the rig was changed");
     return std::move(findings.list);
   }
   const std::vector<double> ratios = DistanceRatios(known, ours);
@@ -211,12 +212,12 @@ std::vector<Finding> CompareWithKnownRig(const RigGeometry& known, const Geometr
     if (nearest == p) continue;
     exchanged = true;
     findings.Refuse(Formatted("projector %zu stands where projector %zu stood", p, nearest),
-                    "exchange their cables, or give them their new numbers on purpose");
+                    "exchange their cables, or renumber them on purpose");
   }
   if (exchanged) return std::move(findings.list);
   if (*most / *least > 1.0 + 2.0 * options.max_scale)
     findings.Warn(Formatted("the projectors stand %.3f to %.3f times as far from the camera as before", *least, *most),
-                  "none, if the rig was changed");
+                  "nothing to do if the rig was changed");
   else if (std::abs(scale - 1.0) > options.max_scale)
     findings.Refuse(Formatted("the whole box is %.3f times as large as before", scale),
                     Formatted("measure the board's squares: %.3f mm would fit, %.3f mm were given",

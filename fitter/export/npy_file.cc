@@ -58,7 +58,7 @@ Result<Values> Open(const std::filesystem::path& file, const std::string& type) 
   const int64_t bytes = size - static_cast<int64_t>(kMagicBytes + sizeof length + length);
   if (!in || std::memcmp(magic, kMagic, kMagicBytes) != 0 || bytes < 0 ||
       bytes % static_cast<int64_t>(sizeof(T)) != 0 || header.find("'descr': '" + type + "'") == std::string::npos)
-    return Status::Integrity(file.string() + " is no array of " + type);
+    return Status::Integrity(file.string() + " is not an array of " + type);
   values.count = bytes / static_cast<int64_t>(sizeof(T));
   return values;
 }

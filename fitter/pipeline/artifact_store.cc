@@ -248,7 +248,7 @@ Result<UniqueFd> ArtifactStore::Flock(int operation) const {
   while (flock(fd.get(), operation) != 0) {
     if (errno == EINTR) continue;
     if (errno == EWOULDBLOCK)
-      return Status::Busy("a run works on the artifacts in " + folder_.string() + "; clean up after it");
+      return Status::Busy("a run works on the artifacts in " + folder_.string() + "; clean up once it has ended");
     return Status::Failed("cannot lock " + folder_.string() + ": " + std::strerror(errno));
   }
   return fd;

@@ -119,7 +119,7 @@ Result<RunOutcome> RunSession(const RunOptions& options, Logger& logger) {
   outcome.sealed = seal.active();
   if (options.geometry == GeometrySource::kTruth && !graph->has_truth())
     return Status::Usage("session " + outcome.session +
-                         " has no truth: --geometry truth works on simulated sessions with their truth.seg");
+                         " has no truth: --geometry truth works only on simulated sessions that have their truth.seg");
   if (frames.info().simulated && !graph->has_truth())
     logger.Warning("session " + outcome.session +
                    " is simulated but has no truth.seg: nothing is compared with the truth");

@@ -28,12 +28,12 @@ Status RunOptions::Validate() const {
   if (heldout < 0 || heldout > 15)
     return Status::Usage("held-out projector " + std::to_string(heldout) + " must lie in 0 .. 15");
   if (standard_errors && fit.em.scattering.mode == FitMode::kFree)
-    return Status::Usage("standard errors are those of a tied fit: leave out --mode free or --standard-errors");
-  if (frames && *frames < 1) return Status::Usage("--frames " + std::to_string(*frames) + ": 1 or more");
+    return Status::Usage("standard errors need a tied fit: leave out --mode free or --standard-errors");
+  if (frames && *frames < 1) return Status::Usage("--frames " + std::to_string(*frames) + ": must be 1 or more");
   if (until == Stage::kMaps && !MakesMaps())
-    return Status::Usage("maps from all projectors are those of a tied fit: leave out --mode free and --maps off");
+    return Status::Usage("maps from all projectors need a tied fit: leave out --mode free and --maps off");
   if (fit.choose.directions && fit.em.scattering.mode == FitMode::kFree)
-    return Status::Usage("directional weights are those of a tied fit: leave out --mode free or --directional on");
+    return Status::Usage("directional weights need a tied fit: leave out --mode free or --directional on");
   return srd.Validate();
 }
 

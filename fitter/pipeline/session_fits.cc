@@ -72,7 +72,7 @@ Result<CleanReport> CleanArtifacts(const std::string& store, const std::string& 
       const fs::path folder = frames.store().FitFolder(frames.info().id, fit.id);
       const auto row = db::ReadFitRecord(folder, frames.info().id);
       if (!row.ok()) {
-        logger.Warning(row.status().message() + "; what it was made of is taken for unwanted");
+        logger.Warning(row.status().message() + "; the artifacts that it was made of are taken to be unused");
         continue;
       }
       for (const auto& [stage, name] : row->artifacts) wanted.insert(name);

@@ -56,7 +56,7 @@ Result<std::optional<ThinPlan>> ThinnedBy(const RunOptions& options, const PlanO
                          ": no codes of columns are left, so no surface can be reconstructed; that takes " +
                          std::to_string(LeastForSurface(plan)) + " frames, or --geometry truth (simulated sessions)");
   if (options.standard_errors)
-    return Status::Usage("standard errors are those of a whole sweep: leave out --frames or --standard-errors");
+    return Status::Usage("standard errors need a whole sweep: leave out --frames or --standard-errors");
   SLX_RETURN_IF_ERROR(CheckReading(captured.comb_width, captured.comb_step * thin.comb_every, options.srd));
   return std::optional(std::move(thin));
 }

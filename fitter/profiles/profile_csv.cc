@@ -88,9 +88,9 @@ Result<size_t> Column(const CsvTable& table, const std::string& name) {
   const auto count = std::count(table.header.begin(), table.header.end(), name);
   if (count == 0)
     return At(table, 1,
-              "column '" + name + "' is missing; wanted: source, incidence_deg, exit_deg, " +
+              "column '" + name + "' is missing; needed: source, incidence_deg, exit_deg, " +
                   "slit_mm, u_mm (and radiance to fit)");
-  if (count > 1) return At(table, 1, "column '" + name + "' stands there twice");
+  if (count > 1) return At(table, 1, "column '" + name + "' appears twice");
   return static_cast<size_t>(std::find(table.header.begin(), table.header.end(), name) - table.header.begin());
 }
 
@@ -170,7 +170,7 @@ Result<ProfileFile> ReadProfiles(const std::string& path, bool with_radiance) {
     p.source = table.rows[r][column[0]];
     if (p.source.empty()) return At(table, table.line[r], "source is empty");
     if (!IsUtf8(p.source))
-      return At(table, table.line[r], "source '" + Printable(p.source) + "' is no UTF-8; save the table as UTF-8");
+      return At(table, table.line[r], "source '" + Printable(p.source) + "' is not UTF-8; save the table as UTF-8");
     SLX_ASSIGN_OR_RETURN(p.incidence_deg, Number(table, r, column[1]));
     SLX_ASSIGN_OR_RETURN(p.exit_deg, Number(table, r, column[2]));
     SLX_ASSIGN_OR_RETURN(p.slit_mm, Number(table, r, column[3]));

@@ -350,7 +350,7 @@ Result<ProfileModel> ProfileModel::FromJson(const std::string& text, const std::
                     origin + ": schema " + std::to_string(schema) + ", this program reads " + std::to_string(kSchema));
     else if (schema < kSchema)
       return Status::Usage(origin + ": schema " + std::to_string(schema) +
-                           " knows no gain of the exit; fit the profiles again");
+                           " has no gain for the exit; fit the profiles again");
     ProfileModel model;
     ScatteringModel& light = model.scattering;
     const std::string mode = json.at("mode"), gain = json.at("gain");

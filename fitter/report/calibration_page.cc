@@ -31,14 +31,14 @@ ReportBanner BannerOf(const CalibrationPage& page) {
   const auto refusals = std::count_if(page.findings.begin(), page.findings.end(),
                                       [](const Finding& f) { return f.severity == Severity::kRefusal; });
   const auto warnings = static_cast<std::ptrdiff_t>(page.findings.size()) - refusals;
-  if (page.geometry == nullptr && !page.light) return {Tone::kBad, "No calibration: see below what stands in the way."};
+  if (page.geometry == nullptr && !page.light) return {Tone::kBad, "No calibration: the reasons are below."};
   if (refusals > 0)
     return {Tone::kBad, "Refused: do not use this calibration. Reasons and remedies: " + std::to_string(refusals) +
                             ", below. Earlier calibrations stay as they are."};
   if (warnings > 0) return {Tone::kDoubtful, "Accepted, with " + std::to_string(warnings) + " warnings (below)."};
   const bool kept = page.light && !page.light->carried_over.empty();
-  return {Tone::kGood, std::string("Accepted: nothing speaks against this calibration.") +
-                           (kept ? " Parts that no session told stay as before (end of the page)." : "")};
+  return {Tone::kGood, std::string("Accepted: no fault was found in this calibration.") +
+                           (kept ? " Parts that no session measured stay as before (end of the page)." : "")};
 }
 
 ReportSection Verdict(const CalibrationPage& page) {
@@ -62,10 +62,9 @@ ReportSection Accuracy(const GeometryReport& g) {
   ReportSection section{
       "How well the corners are explained",
       "RMS is the distance between where a corner was seen and where the calibration puts it. Held out: the same for "
-      "poses that the calibration did not use; hardly above RMS is good, far above means too few poses, or all alike. "
-      "Epipolar: how far camera and projector miss each other, whatever the board; more than 0.1 px means that "
-      "something "
-      "moved.",
+      "poses that the calibration did not use; a little above RMS is good, far above means too few poses, or poses "
+      "that are all alike. Epipolar: how far camera and projector miss each other, whatever the board; more than 0.1 "
+      "px means that something moved.",
       {},
       {},
       {}};
@@ -77,7 +76,7 @@ ReportSection Accuracy(const GeometryReport& g) {
                             std::to_string(CornersOf(g, d)), Fixed(100.0 * g.coverage[d], 0) + " %"});
   devices.rows.push_back({"all", Fixed(g.training_total.JointRms(), 3), Fixed(g.held_out_total.JointRms(), 3), "", "",
                           std::to_string(g.corners) + " + " + std::to_string(g.rejected.size()) + " left out", ""});
-  ReportTable poses{"A pose that stands out was moved, shone, or lies where no other does: capture it again.",
+  ReportTable poses{"A pose that stands out was moved, reflected glare, or lies where no other does: capture it again.",
                     {"pose", "tilt", "RMS, px", "held out, px", "held out, sd", "corners"},
                     {}};
   for (size_t k = 0; k < g.training.size(); ++k)
@@ -91,8 +90,8 @@ ReportSection Accuracy(const GeometryReport& g) {
 ReportSection Residuals(const GeometryReport& g) {
   ReportSection section{"Residuals",
                         "What the calibration leaves unexplained at each corner. Errors of finding corners in the "
-                        "camera's picture move all "
-                        "devices alike; what is a projector's own is its noise in the table above.",
+                        "camera's picture move all devices alike; what a projector adds of its own is its noise in "
+                        "the table above.",
                         {},
                         {},
                         {}};
@@ -137,8 +136,8 @@ double StandardDeviation(const GeometryReport& g, size_t device, int parameter) 
 
 ReportTable Parameters(const GeometryReport& g) {
   ReportTable table{
-      "Value ± standard deviation. Focal lengths and principal points in px, rotations in rad, translations "
-      "in mm. Good: focal lengths known to 0.1 %; if not, more poses, more tilt.",
+      "Value ± standard deviation. Focal lengths and principal points in px, rotations in rad, translations in mm. "
+      "Good: focal lengths known to 0.1 %; if not, capture more poses with more tilt.",
       DeviceHeader(g),
       {}};
   for (int i = 0; i < kIntrinsics + kPoseParameters; ++i) {

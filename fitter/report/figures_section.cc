@@ -39,7 +39,8 @@ std::vector<ReportTable> HeldOutTables(const Metrics& m) {
     };
     ReportTable table{"Projector " + std::to_string(projector) + " held out, " + geometry +
                           " geometry: NRMSE (total: also without the measured light's own noise, PSNR in dB, SSIM; " +
-                          "surface predicted: its light, too, from the training lights; subsurface: and bias)",
+                          "surface predicted: the surface's light, too, is predicted from the training lights; "
+                          "subsurface: also bias)",
                       {"model"},
                       {}};
     std::vector<std::string> models;
@@ -76,9 +77,9 @@ std::vector<ReportTable> HeldOutTables(const Metrics& m) {
 // Which quads the figures speak of.
 ReportTable CoverageTable(const Metrics& m) {
   ReportTable table{
-      "Coverage, quads: with a truth, of the skin that the light truly reaches; else of the reconstructed "
-      "surface, and skin is what the skin stage found. Left out: NRMSE of the fit (total) over what it predicts and is "
-      "not judged",
+      "Coverage, quads. With a truth: of the skin that the light truly reaches; without: of the reconstructed "
+      "surface, where skin is what the skin stage found. Left out: NRMSE of the fit (total) over quads that it "
+      "predicts but that are not judged",
       {"projector", "geometry", "lit skin", "judged", "no surface", "unlit", "not fitted", "not skin", "in shadow",
        "not separated", "left out"},
       {}};
@@ -101,8 +102,8 @@ std::vector<ReportTable> IntervalTables(const Metrics& m) {
   std::vector<ReportTable> tables;
   if (m.intervals.colours.empty()) return tables;
   ReportTable parts{
-      "Error of light that the fit has not seen, by colour: four parts that add up in squares, and how many "
-      "of that standard deviation leave 5 % of the pixels outside",
+      "Error of light that the fit has not seen, by colour: four parts whose squares add up, and how many of the "
+      "resulting standard deviations leave 5 % of the pixels outside",
       {"colour", "albedo", "normal, degrees", "placement, quads", "light around", "half a 95 % interval"},
       {}};
   const auto colours = Colours(static_cast<int>(m.intervals.colours.size()));
@@ -115,8 +116,8 @@ std::vector<ReportTable> IntervalTables(const Metrics& m) {
   tables.push_back(std::move(parts));
   if (m.intervals.covered.empty()) return tables;
   ReportTable covered{
-      "95 % intervals of a light by what the other hold-outs say: how much of it they hold (widened by the "
-      "capture's own noise), and how wide they are, RMS of half of them over RMS of the light",
+      "95 % intervals of a light, from what the other hold-outs say: how much of the light lies within (intervals "
+      "widened by the capture's own noise), and their half-width, RMS over the RMS of the light",
       {"projector", "light", "within", "half-width", "pixels and colours"},
       {}};
   for (const auto& c : m.intervals.covered)
@@ -149,10 +150,9 @@ ReportTable NormalTable(const NormalFigures& n) {
 }
 
 ReportTable SweepTable(const Metrics& m) {
-  ReportTable table{
-      "Sweeps: profiles by what became of them, and whether the frames of a cycle add up to the white ones",
-      {"projector", "axis", "profiles", "cycle over white", "95 % within", "frames missing"},
-      {}};
+  ReportTable table{"Sweeps: what became of the profiles, and whether the frames of a cycle add up to the white ones",
+                    {"projector", "axis", "profiles", "cycle over white", "95 % within", "frames missing"},
+                    {}};
   for (const SweepFigure& s : m.sweeps) {
     std::string profiles;
     for (const auto& [reason, count] : s.profiles_by_reason)
@@ -198,7 +198,7 @@ ReportSection FiguresSection(const Metrics& m) {
                               {"depth rms mm", "depth bias mm", "normal median deg", "quads"},
                               {{Fixed(m.truth->depth_rms_mm), Fixed(m.truth->depth_bias_mm),
                                 Fixed(m.truth->normal_median_deg, 2), std::to_string(m.truth->pixels)}}});
-    ReportTable columns{"Columns that SRDs are read at, against the simulated truth",
+    ReportTable columns{"Columns at which SRDs are read, against the simulated truth",
                         {"projector", "mean px", "rms about it px", "quads"},
                         {}};
     for (const ColumnError& c : m.truth->columns)

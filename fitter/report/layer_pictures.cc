@@ -54,8 +54,8 @@ Image<float> Redness(const Image<float>& weight) {
 
 void AddColourPictures(const LayerMaps& maps, ReportSection& section) {
   section.images.push_back(
-      Scaled("Redness, log10 of red over green weight: blood takes green light, so flushed skin, lips and vessels are "
-             "bright.",
+      Scaled("Redness, log10 of red over green weight: blood absorbs green light, so flushed skin, lips and vessels "
+             "are bright.",
              Redness(maps.total_weight), 2, ""));
   section.images.push_back(
       Scaled("Redness of the shallow light: capillaries near the surface, blemishes.", Redness(maps.shallow), 2, ""));
@@ -76,10 +76,10 @@ std::string WeakCaption(const ShownLayers& shown) {
 }
 
 ReportTable MapsTable(const MapsFigures& f) {
-  ReportTable table{
-      "Profiles of these layers, which are fitted " + f.provenance + ", none left out; why the others are not",
-      {"fitted"},
-      {{std::to_string(f.fitted)}}};
+  ReportTable table{"Profiles of these layers, which are fitted " + f.provenance +
+                        ", none left out, and why the others are not fitted",
+                    {"fitted"},
+                    {{std::to_string(f.fitted)}}};
   for (const auto& [reason, count] : f.masked_by_reason) {
     table.header.push_back(reason);
     table.rows[0].push_back(std::to_string(count));
@@ -102,11 +102,10 @@ ReportSection LayerPictures(const ShownLayers& shown) {
   ReportSection section{
       "Layer maps: what lies at which depth",
       "Sums over the layers of each pixel, " + shown.provenance +
-          ", red light unless said otherwise. Light from deeper has spread wider, so layers are parted by their width: "
-          "shallow below sigma " +
+          ", red light unless said otherwise. Light from deeper has spread wider, so layers are divided by their "
+          "width: shallow below sigma " +
           shallow + " mm, deep from " + deep +
-          " mm on, a third of all light in each. Dark grey: not fitted, or not to be told. The maps are in this fit's "
-          "folder" +
+          " mm on, a third of all light in each. Dark grey: not fitted, or unknown. The maps are in this fit's folder" +
           (shown.of_all ? std::string(", below ") + kMapsFolder + "/," : std::string()) + " as EXR files.",
       {},
       {},
@@ -119,8 +118,8 @@ ReportSection LayerPictures(const ShownLayers& shown) {
   if (maps.total_weight.channels() == 3) AddColourPictures(maps, section);
   for (const auto& [band, caption] :
        {std::pair(&maps.shallow,
-                  "Share of shallow light: epidermis, fine relief; dark where pigment or blood near the "
-                  "surface takes it."),
+                  "Share of shallow light: epidermis, fine relief; dark where pigment or blood near the surface "
+                  "absorbs it."),
         {&maps.middle, "Share of light from the middle: upper dermis and its small vessels."},
         {&maps.deep, "Share of deep light: high where skin is clear; dark over moles, hair roots and large vessels."}})
     section.images.push_back(

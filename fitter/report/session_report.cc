@@ -64,9 +64,10 @@ ReportSection Shape(const ReportInput& in) {
   const Image<float> depth = Channel(in.shape.surface.point_mm, 2);
   ReportSection section{
       "Shape",
-      "Depth from all projectors together; normals of the surface, of photometric stereo, and two for rendering: the "
-      "specular normal, the surface's with photometric detail, by which the surface itself mirrors, and the diffuse "
-      "one, filtered by how far the layers spread light, which light that scattered follows.",
+      "Depth from all projectors together; normals of the surface, of photometric stereo, and two for rendering. The "
+      "specular normal is the surface's with photometric detail and holds for the light that the surface itself "
+      "reflects. The diffuse normal is filtered by how far the layers spread light and holds for the light that they "
+      "scatter.",
       {},
       {},
       {}};
@@ -92,8 +93,9 @@ ReportSection Shape(const ReportInput& in) {
 // Where the surface was placed.
 ReportTable PlacementTable(const Metrics& m) {
   ReportTable table{
-      "At which depth below the skin its codes are seen, by the sweeps; the surface is placed above them by as much as "
-      "that displaces it. Bias of depth against the truth of a simulation, and RMS about it",
+      "Depth below the skin's surface at which the codes are seen, found by the sweeps; the surface is placed above "
+      "them by the displacement that this causes. In a simulation also the bias of the depth against the truth, and "
+      "the RMS about that bias",
       {"by the sweeps of", "layers", "code depth mm", "its error mm", "pixels", "bias mm", "RMS mm"},
       {}};
   const auto add = [&](const std::string& what, std::vector<std::string> row, const auto& truth) {
@@ -140,8 +142,8 @@ Image<uint8_t> SkinPicture(const Image<uint8_t>& face, const SkinMask& mask) {
 
 ReportSection Skin(const ReportInput& in, const Image<float>& lit, double white, const SkinFigure& figure) {
   ReportSection section{"Skin",
-                        "Skin is what most of the face is, by the light that goes through it (global) and its share of "
-                        "all light, of all projectors together. " +
+                        "Skin is what looks like most of the face, judged by the light that goes through it (global) "
+                        "and by that light's share of all light, with all projectors together. " +
                             Describe(in.skin) + ".",
                         {},
                         {},
@@ -255,7 +257,7 @@ ReportSection CalibrationSection(const RigCalibration& rig, const DriftReport& d
       {},
       {},
       {}};
-  ReportTable table{"Displacement of each projector's light on the face against the calibration: below 0.5 px is well",
+  ReportTable table{"Displacement of each projector's light on the face against the calibration: below 0.5 px is good",
                     {"projector", "columns px", "rows px", "together px", "as if turned by deg", "spread px",
                      "spread expected of the codes px", "points"},
                     {}};
@@ -270,14 +272,14 @@ ReportSection CalibrationSection(const RigCalibration& rig, const DriftReport& d
 ReportSection MotionSection(const HeadMotion& motion) {
   ReportSection section{"Motion of the head", "", {}, {}, {}};
   if (motion.poses.empty()) {
-    section.text = "Nothing is known of it: that takes two white frames of a projector.";
+    section.text = "Unknown: to find it takes two white frames of one projector.";
     return section;
   }
   section.text =
       Formatted("Moved by %.3f mm at most (root mean square over the face; noise of the white frames: %.3f mm)%s.",
                 motion.largest_mm, motion.sigma_mm,
                 motion.moved ? ": codes, lights and SRDs are those of the moment of the first white frame"
-                             : ", which is not told from a head that held still: nothing is moved");
+                             : ", which cannot be told from a head that held still: nothing is moved");
   section.text += Formatted(
       " Detail of the white frames differs by %.2f %% as they are, by %.2f %% after the motion that was found.",
       100.0 * motion.detail_before, 100.0 * motion.detail_after);
@@ -326,8 +328,8 @@ Status WriteReport(const std::filesystem::path& folder, const ReportInput& in, c
       std::string(info.simulated ? "Simulated visitor, seed " + std::to_string(info.seed) : "Visitor " + info.visitor) +
           ", captured " + ToIso8601(info.started_wall) + ", " +
           std::to_string(in.frames.rows().size() + in.frames.replaced().size()) + " frames, " + ToString(info.status) +
-          ". Layers fitted on all projectors but " + std::to_string(in.heldout) +
-          ", by which they are judged; layer maps " + in.shown.provenance + ".",
+          ". Layers fitted on all projectors but " + std::to_string(in.heldout) + ", which judges them; layer maps " +
+          in.shown.provenance + ".",
       {}};
   SLX_ASSIGN_OR_RETURN(auto samples, CapturedSamples(in, white));
   report.sections.push_back(std::move(samples));

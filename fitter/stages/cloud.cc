@@ -19,7 +19,9 @@ bool IsCode(const FrameRecord& frame) {
 }
 
 Status AnotherRig(const std::string& what) {
-  return Status::Usage(what + ": the calibration is of another rig; name that of the one that captured the session");
+  return Status::Usage(what +
+                       ": the calibration is of another rig; give the calibration of the rig that captured the "
+                       "session");
 }
 
 std::string SizeText(int width, int height) { return std::to_string(width) + "x" + std::to_string(height); }
@@ -30,22 +32,22 @@ Status CheckCamera(const FrameRecord& frame, const Pinhole& camera) {
   const bool whole = frame.width == camera.width && frame.height == camera.height;
   if (inside && (whole || frame.crop_x > 0 || frame.crop_y > 0)) return Status::Ok();
   return AnotherRig("its frames have " + SizeText(frame.width, frame.height) + " pixels at " +
-                    std::to_string(frame.crop_x) + ", " + std::to_string(frame.crop_y) + ", the calibrated camera " +
-                    SizeText(camera.width, camera.height));
+                    std::to_string(frame.crop_x) + ", " + std::to_string(frame.crop_y) +
+                    ", but the calibrated camera has " + SizeText(camera.width, camera.height));
 }
 
 Status CheckCode(const FrameRecord& frame, const RigCalibration& record) {
   const std::string name = "projector " + std::to_string(frame.projector);
   if (frame.projector < 0 || frame.projector >= static_cast<int>(record.projectors.size()))
-    return AnotherRig(name + " shows codes, the calibration has " + std::to_string(record.projectors.size()) +
+    return AnotherRig(name + " shows codes, but the calibration has only " + std::to_string(record.projectors.size()) +
                       " projectors");
   const Pinhole& model = record.projectors[static_cast<size_t>(frame.projector)].model;
   const bool columns = frame.pattern.axis == PatternAxis::kColumns;
   const int count = columns ? model.width : model.height;
   if (frame.pattern.bits == GrayBits(count)) return Status::Ok();
-  return AnotherRig(name + " has codes of " + std::to_string(frame.pattern.bits) + " bits, of the calibrated one's " +
-                    std::to_string(count) + (columns ? " columns they have " : " rows they have ") +
-                    std::to_string(GrayBits(count)));
+  return AnotherRig(name + " has codes of " + std::to_string(frame.pattern.bits) +
+                    " bits, but the calibrated projector's " + std::to_string(count) +
+                    (columns ? " columns need " : " rows need ") + std::to_string(GrayBits(count)));
 }
 
 // The record's geometry as these frames see it.

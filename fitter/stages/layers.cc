@@ -27,7 +27,7 @@ std::string Describe(const ScatteringModel& model) {
   if (model.reflection.Known())
     text << model.reflection.strength << " of Fresnel's, roughness " << model.reflection.roughness;
   else
-    text << "of each light its own";
+    text << "each light's own";
   if (const auto& gloss = model.reflection.gloss.nodes; !gloss.empty())
     text << ", gloss up to " << *std::ranges::max_element(gloss);
   return text.str();
@@ -43,28 +43,29 @@ std::string Describe(const DirectionEstimate& chosen) {
 
 std::string Describe(const PriorChoice& choice) {
   std::ostringstream text;
-  text << "prior of " << choice.prior.photons << " photons a profile";
+  text << "prior of " << choice.prior.photons << " photons per profile";
   for (const auto& trial : choice.trials)
-    text << (&trial == &choice.trials.front() ? "; divergence of the lights left out in turn: " : ", ")
+    text << (&trial == &choice.trials.front() ? "; divergence of the lights, each left out in turn: " : ", ")
          << trial.divergence << " with " << trial.photons;
   return text.str();
 }
 
 std::string Describe(const SweepChoice& choice) {
   if (choice.profiles == 0) return "no profile that can be fitted";
-  return Formatted("%d sweeps from the mean layers, %.3f nats a profile above EM that has settled", choice.sweeps,
+  return Formatted("%d sweeps from the mean layers, %.3f nats per profile above converged EM", choice.sweeps,
                    choice.trials.back().excess_nats);
 }
 
 std::string Describe(const NeighboursChoice& choice) {
-  if (choice.trials.empty()) return "prior of the session's mean layers: too little to try that of neighbours";
+  if (choice.trials.empty()) return "prior of the session's mean layers: too little data to try the neighbours'";
   std::ostringstream text;
   if (choice.photons > 0.0)
     text << "prior of " << choice.photons << " photons of a profile's neighbours";
   else
     text << "prior of the session's mean layers, which predict as well as neighbours";
   for (const auto& trial : choice.trials)
-    text << (&trial == &choice.trials.front() ? "; nats a profile of the lights left out beside the session's mean: "
+    text << (&trial == &choice.trials.front() ? "; nats per profile of the lights left out, relative to the "
+                                                "session's mean: "
                                               : ", ")
          << trial.more_nats << " with " << trial.photons;
   return text.str();
@@ -148,7 +149,7 @@ Result<TrainingLights> TrainingLightsOf(const SrdSet& srds, int heldout) {
     }
   if (lights.batches.empty())
     return Status::Usage("with projector " + std::to_string(heldout) +
-                         " held out no light is left to fit: the layers need sweeps of two projectors at least");
+                         " held out no light is left to fit: the layers need sweeps of at least two projectors");
   return lights;
 }
 
@@ -170,7 +171,7 @@ Result<EmOptions> SharedOptions(const FitOptions& options, const Lights& lights,
   if (em.surface_term && options.choose.reflection && !model.reflection.Known())
     logger.Warning(label +
                    ": too few pixels are lit from two directions within 60 degrees to tell how the surface itself "
-                   "reflects; of each light its own, as with --surface free");
+                   "reflects; each light gets its own reflection, as with --surface free");
   logger.Info(label + ": " + Describe(model));
   if (options.choose.directions && model.mode == FitMode::kTied && !em.direction_blind) {
     SLX_ASSIGN_OR_RETURN(const auto chosen, EstimateDirections(lights, srds.channels, em));

@@ -64,7 +64,7 @@ Result<MapsFigures> LoadMapsFigures(const std::filesystem::path& folder) {
   }));
   if (schema < kMapsSchema)
     return Status::Integrity(file.string() + ": schema " + std::to_string(schema) +
-                             " of an older program; `stratalux-fit run` makes it anew");
+                             " of an older program; `stratalux-fit run` makes it again");
   if (schema > kMapsSchema)
     return Status(StatusCode::kNewerSchema, file.string() + ": schema " + std::to_string(schema) +
                                                 ", this program reads " + std::to_string(kMapsSchema));

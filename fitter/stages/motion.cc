@@ -158,9 +158,9 @@ std::vector<SeparationMap> AtReference(std::span<const SeparationMap> separation
 
 std::string Describe(const FaceMotion& motion) {
   const HeadMotion& head = motion.head;
-  if (head.poses.empty()) return "motion of the head: nothing is known of it (it takes two whites of a projector)";
+  if (head.poses.empty()) return "motion of the head: unknown (finding it takes two white frames of one projector)";
   const std::string size = Formatted("%.3f mm at most (noise: %.3f mm)", head.largest_mm, head.sigma_mm);
-  return head.moved ? "the head moved by " + size + ": all is carried to the moment of the first white frame"
+  return head.moved ? "the head moved by " + size + ": everything is carried to the moment of the first white frame"
                     : "the head held still: moved by " + size;
 }
 

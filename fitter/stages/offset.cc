@@ -21,7 +21,7 @@ std::string Describe(const SurfaceOffset& offset) {
     return "no depth of the codes below the skin is best for the whole face: the surface stays as it is";
   if (offset.pixels == 0)
     return "too few pixels are lit by two projectors to tell where the surface lies: it stays as it is";
-  return Formatted("codes are seen %.3f +- %.3f mm below the skin, by %lld pixels", offset.code_depth_mm,
+  return Formatted("codes are seen %.3f +- %.3f mm below the skin, according to %lld pixels", offset.code_depth_mm,
                    offset.sigma_mm, static_cast<long long>(offset.pixels));
 }
 

@@ -60,8 +60,8 @@ std::string Describe(const SkinMask& mask) {
   if (!mask.told)
     return Formatted("no separated light tells skin from hair and eyes: all %lld quads of the surface count as skin",
                      surface);
-  return Formatted("%lld of %lld quads of the surface are skin; %lld are hair, eyes or else and left out", skin,
-                   surface, surface - skin);
+  return Formatted("%lld of %lld quads of the surface are skin; %lld are hair, eyes or something else and are left out",
+                   skin, surface, surface - skin);
 }
 
 Status SaveSkin(const std::filesystem::path& folder, const SkinMask& mask) {
@@ -102,7 +102,7 @@ Result<SkinMask> LoadSkin(const std::filesystem::path& folder) {
     for (int i = 0; i < map.width(); ++i) {
       const float reason = map(i, j, 2);
       if (!(reason >= 0.0F) || reason >= static_cast<float>(kSkinReasons))
-        return Status::Integrity((folder / "skin.exr").string() + ": no reason of the skin stage");
+        return Status::Integrity((folder / "skin.exr").string() + ": not a reason that the skin stage knows");
       mask.probability(i, j) = map(i, j, 0);
       mask.skin(i, j) = map(i, j, 1) != 0.0F ? 1 : 0;
       mask.reason(i, j) = static_cast<uint8_t>(reason);

@@ -183,7 +183,7 @@ Result<SrdBatch> ExtractSweep(const Sweep& sweep, const FaceShape& shape, const 
     logger.Warning("projector " + std::to_string(p) + ": " + std::to_string(figure.missing_frames) + " of " +
                    std::to_string(sweep.cycle.frames()) + " frames of the sweep are missing (`stratalux-db show`); " +
                    (left_out ? "it is left out of the fit. Capture the visitor again with nothing moving"
-                             : "taken from the white frames, less all others"));
+                             : "the missing one is computed from the white frames, less all others"));
   SweptSurface swept;
   const bool moved = shape.motion.moved();
   if (moved) swept = SweptSurfaceOf(sweep, shape, options, set.channels);
@@ -222,8 +222,8 @@ Result<SrdBatch> ExtractSweep(const Sweep& sweep, const FaceShape& shape, const 
     const double quads = QuadsPerStep(batch, surface, *sweep.frames.calibration(), options.pool);
     if (quads < 1.0) {
       logger.Warning(Formatted(
-          "projector %d: the camera has %.2f quads a step of the comb; the scatter reading needs one at least "
-          "(a finer camera, --pool 1, or the gather reading)",
+          "projector %d: the camera has %.2f quads per step of the comb; the scatter reading needs at least one (a "
+          "finer camera, --pool 1, or the gather reading)",
           p, quads));
     }
   }
@@ -235,8 +235,8 @@ Result<SrdBatch> ExtractSweep(const Sweep& sweep, const FaceShape& shape, const 
 Status CheckReading(int width, int step, const SrdOptions& options) {
   if (width % step == 0) return Status::Ok();
   if (options.reading == SrdReading::kGather && options.distance == SrdDistance::kTangentPlane) return Status::Ok();
-  return Status::Usage("srd: of each sweep only combs that move by " + std::to_string(step) +
-                       " columns are kept, lines are " + std::to_string(width) +
+  return Status::Usage("srd: each sweep keeps only combs that move by " + std::to_string(step) +
+                       " columns, but lines are " + std::to_string(width) +
                        " wide: reading 'scatter' and distance 'surface' need all of them (--frames)");
 }
 

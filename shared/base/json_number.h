@@ -28,7 +28,8 @@ template <std::integral T>
     if (whole && std::in_range<T>(static_cast<int64_t>(real))) return static_cast<T>(real);
   }
   const std::string what = json.is_number() ? json.dump() : json.type_name();
-  throw nlohmann::json::type_error::create(302, name + ": " + what + " is no whole number of its range", nullptr);
+  throw nlohmann::json::type_error::create(302, name + ": " + what + " is not a whole number within its range",
+                                           nullptr);
 }
 
 // The member `key`, which the message names.

@@ -121,7 +121,7 @@ struct Child {
 Result<ProgramOutcome> RunProgram(const std::vector<std::string>& arguments, const std::optional<ProgramLimit>& limit) {
   Pipe out, err, trouble;
   if (out.ends[0] < 0 || err.ends[0] < 0 || trouble.ends[0] < 0)
-    return Status::Failed(std::string("no pipe: ") + std::strerror(errno));
+    return Status::Failed(std::string("cannot create a pipe: ") + std::strerror(errno));
   std::vector<char*> argv;
   for (const std::string& argument : arguments) argv.push_back(const_cast<char*>(argument.c_str()));
   argv.push_back(nullptr);

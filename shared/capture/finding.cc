@@ -141,7 +141,7 @@ Result<std::vector<Finding>> FindingsFromJson(const std::string& text) {
     const bool good = one.is_object() && one.contains("kind") && one["kind"].is_string() &&
                       is_index(one, "projector") && is_index(one, "step") && is_figure(one, "value") &&
                       is_figure(one, "limit") && (!one.contains("detail") || one["detail"].is_string());
-    if (!good) return Status::Integrity("finding " + std::to_string(findings.size()) + " is not one");
+    if (!good) return Status::Integrity("finding " + std::to_string(findings.size()) + " is not a valid finding");
     Finding f;
     SLX_ASSIGN_OR_RETURN(f.kind, ParseFindingKind(one["kind"].get<std::string>()));
     f.projector = one.value("projector", -1);
@@ -164,7 +164,7 @@ Result<std::map<std::string, int64_t>> FaultsFromJson(const std::string& text) {
   std::map<std::string, int64_t> faults;
   for (const auto& [name, count] : counts.items()) {
     if (!count.is_number_unsigned() || count.get<uint64_t>() > uint64_t{INT64_MAX})
-      return Status::Integrity("faults: '" + name + "' is no count");
+      return Status::Integrity("faults: '" + name + "' is not a count");
     faults[name] = count.get<int64_t>();
   }
   return faults;

@@ -202,17 +202,17 @@ Result<ThinPlan> ThinTo(const CapturePlan& plan, int frames) {
   Thinner thinner(plan);
   if (frames < thinner.Fewest())
     return Status::Usage("frames = " + std::to_string(frames) + ": white, black and a few combs of each of " +
-                         std::to_string(plan.options.projectors) + " projectors are " +
-                         std::to_string(thinner.Fewest()) + ", the fewest");
+                         std::to_string(plan.options.projectors) + " projectors need at least " +
+                         std::to_string(thinner.Fewest()) + " frames");
   return thinner.Take(frames);
 }
 
 std::string Describe(const ThinPlan& thin) {
   std::string text = std::to_string(thin.kept.size()) + " of " + std::to_string(thin.whole) + " frames";
   if (thin.evaluation_only > 0)
-    text += ", and " + std::to_string(thin.evaluation_only) + " that only comparisons with held-out light read";
+    text += ", and " + std::to_string(thin.evaluation_only) + " that only comparisons with held-out light use";
   for (const std::string& what : thin.left_out)
-    text += (&what == &thin.left_out.front() ? "; left out of each projector's: " : ", ") + what;
+    text += (&what == &thin.left_out.front() ? "; left out for each projector: " : ", ") + what;
   return text;
 }
 

@@ -90,7 +90,7 @@ Result<std::string> ReadTokenFile(const std::string& file) {
   if (!fd.ok() || fstat(fd.get(), &facts) != 0)
     return Status::Usage("token file " + file + ": " + std::strerror(errno) +
                          "; make one: (umask 077; openssl rand -hex 32 > " + file + ")");
-  if (!S_ISREG(facts.st_mode)) return Status::Usage("token file " + file + " is no regular file");
+  if (!S_ISREG(facts.st_mode)) return Status::Usage("token file " + file + " is not a regular file");
   if ((facts.st_mode & 077) != 0)
     return Status::Usage("token file " + file + " can be read by others; chmod 600 " + file);
   char text[513];
@@ -134,9 +134,10 @@ std::optional<Response> AccessGuard::CheckOrigin(const Request& request) const {
   const std::string origin = request.Header("origin"), site = request.Header("sec-fetch-site");
   const std::string host = Lower(request.Header("host"));
   const bool ours = Lower(origin) == "http://" + host || Lower(origin) == "https://" + host;
-  if (!site.empty() && site != "same-origin") return Response::Text(403, "this can be asked from our own pages alone");
+  if (!site.empty() && site != "same-origin")
+    return Response::Text(403, "only this server's own pages may ask for this");
   if (ours || (origin.empty() && site == "same-origin")) return std::nullopt;
-  return Response::Text(403, "this can be asked from our own pages alone");
+  return Response::Text(403, "only this server's own pages may ask for this");
 }
 
 bool AccessGuard::HasBearer(const Request& request, Audience audience) const {
@@ -214,7 +215,7 @@ std::optional<Response> AccessGuard::CheckToken(const Request& request, Audience
   }
   if (tries) NoteWrong(request.peer);
   Response refusal =
-      Response::Text(401, audience == Audience::kKeepers ? "this is for who runs the place: sign in"
+      Response::Text(401, audience == Audience::kKeepers ? "only whoever runs this place may see this: sign in"
                                                          : "open the link that the program printed when it started");
   return std::move(refusal.With("WWW-Authenticate", "Bearer"));
 }

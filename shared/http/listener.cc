@@ -40,7 +40,7 @@ Status CannotListen(const std::string& address, int port) {
   const std::string text = "cannot listen on " + address + ", port " + std::to_string(port) + ": ";
   if (errno == EADDRINUSE)
     return Status::Busy(text + "another program listens there; choose another port (0: any free one)");
-  if (errno == EACCES) return Status::Failed(text + "ports below 1024 are the system's; choose another");
+  if (errno == EACCES) return Status::Failed(text + "ports below 1024 are reserved for the system; choose another");
   if (errno == EADDRNOTAVAIL) return Status::Failed(text + "this machine has no such address");
   return Status::Failed(text + std::strerror(errno));
 }
@@ -57,7 +57,7 @@ bool IsLoopback(const std::string& text) {
 Result<Listener> Listen(const std::string& text, int port) {
   Address address;
   if (!Parse(text, port, address))
-    return Status::Usage("'" + text + "' is no IPv4 or IPv6 address, such as 127.0.0.1 or ::1");
+    return Status::Usage("'" + text + "' is not an IPv4 or IPv6 address, such as 127.0.0.1 or ::1");
   UniqueFd fd(socket(address.bytes.ss_family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
   if (!fd.ok()) return CannotListen(text, port);
   const int on = 1;

@@ -279,7 +279,7 @@ std::optional<Response> Server::Impl::Begin(Exchange& exchange, MHD_Connection* 
   const std::string length = request.Header("content-length");
   const bool counts =
       !length.empty() && length.size() < 18 && length.find_first_not_of("0123456789") == std::string::npos;
-  if (!length.empty() && !counts) return Response::Text(400, "the length of the request's body is no number");
+  if (!length.empty() && !counts) return Response::Text(400, "the length of the request's body is not a number");
   if (counts && std::stoull(length) > options.limits.body_bytes)
     return Response::Text(413, "the request's body is too large");
   request.peer = PeerOf(connection);
@@ -304,7 +304,7 @@ std::optional<Response> Server::Impl::Admit(Exchange& exchange, std::optional<Me
   if (match.handler == nullptr || !method) {
     std::string allowed;
     for (const Method one : match.allowed) allowed += (allowed.empty() ? "" : ", ") + std::string(ToString(one));
-    Response refusal = Response::Text(405, "this can be asked with " + allowed);
+    Response refusal = Response::Text(405, "the methods allowed here are " + allowed);
     return std::move(refusal.With("Allow", allowed));
   }
   if (auto refusal = guard.CheckOrigin(request)) return refusal;
@@ -329,7 +329,7 @@ MHD_Result Server::Impl::AnswerLater(SlowAnswer make, Exchange& exchange, MHD_Co
   // A connection that sleeps is neither read nor closed by the library, so that its exchange stays.
   auto piece = [this, make = std::move(make), &exchange, connection](bool ending) {
     try {
-      exchange.late = ending ? Response::Text(503, "this server ends") : Call(exchange, make);
+      exchange.late = ending ? Response::Text(503, "this server is shutting down") : Call(exchange, make);
     } catch (...) {  // no memory: nothing is answered
     }
     MHD_resume_connection(connection);
@@ -339,7 +339,7 @@ MHD_Result Server::Impl::AnswerLater(SlowAnswer make, Exchange& exchange, MHD_Co
     MHD_suspend_connection(connection);
   };
   if (side.Add(std::move(piece), sleep)) return MHD_YES;
-  return Answer(Response::Text(503, "too much is under way; try again soon"), exchange, connection);
+  return Answer(Response::Text(503, "too many requests are under way; try again soon"), exchange, connection);
 }
 
 MHD_Response* Server::Impl::Make(Response& response, const Exchange& exchange, MHD_Connection* connection) {

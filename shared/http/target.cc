@@ -56,7 +56,7 @@ Result<std::string> PercentDecode(std::string_view text) {
     }
     const int high = i + 1 < text.size() ? HexDigit(text[i + 1]) : -1;
     const int low = i + 2 < text.size() ? HexDigit(text[i + 2]) : -1;
-    if (high < 0 || low < 0) return Status::Usage("a percent sign is followed by two hex digits");
+    if (high < 0 || low < 0) return Status::Usage("a percent sign must be followed by two hex digits");
     decoded += static_cast<char>(high * 16 + low);
     i += 2;
   }
@@ -85,14 +85,14 @@ std::string Target::path() const {
 }
 
 Result<Target> ParseTarget(std::string_view text) {
-  if (text.empty() || text.front() != '/') return Status::Usage("the target of a request is an absolute path");
+  if (text.empty() || text.front() != '/') return Status::Usage("the target of a request must be an absolute path");
   Target target;
   const size_t question = std::min(text.find('?'), text.size());
   std::string_view path = text.substr(1, std::max<size_t>(question, 1) - 1);
   while (!path.empty()) {
     const size_t end = std::min(path.find('/'), path.size());
     SLX_ASSIGN_OR_RETURN(auto segment, PercentDecode(path.substr(0, end)));
-    if (segment.empty() || !NamesAPlace(segment)) return Status::Usage("the path is not in its plain form");
+    if (segment.empty() || !NamesAPlace(segment)) return Status::Usage("the path is not in its normal form");
     target.segments.push_back(std::move(segment));
     path.remove_prefix(std::min(end + 1, path.size()));
   }

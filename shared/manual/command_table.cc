@@ -51,10 +51,10 @@ OptionEntry EntryOf(const CLI::Option& option, const std::vector<const CLI::Opti
     if (!entry.choices.empty())
       Remark(entry.text, "One of: " + type.substr(type.find('{') + 1, type.size() - type.find('{') - 2));
     else if (range != std::string::npos)
-      Remark(entry.text, "Of" + type.substr(range + 3));
+      Remark(entry.text, "Range" + type.substr(range + 3));
     if (!option.get_default_str().empty()) Remark(entry.text, "Default: " + option.get_default_str());
   }
-  if (!option.get_envname().empty()) Remark(entry.text, "Else $" + option.get_envname());
+  if (!option.get_envname().empty()) Remark(entry.text, "If absent: $" + option.get_envname());
   if (entry.required) Remark(entry.text, "Required");
   if (const std::string names = NamesIn(option.get_needs(), all); !names.empty()) Remark(entry.text, "Needs " + names);
   if (const std::string names = NamesIn(option.get_excludes(), all); !names.empty())

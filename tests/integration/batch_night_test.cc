@@ -129,7 +129,7 @@ TEST_F(BatchNight, AStopGivesBackAndTheNextNightGoesOn) {
   night.Send(SIGTERM);
   const Outcome stopped = night.Wait();
   EXPECT_EQ(stopped.code, 0) << stopped.out;
-  EXPECT_THAT(stopped.out, HasSubstr("is given back"));
+  EXPECT_THAT(stopped.out, HasSubstr("goes back to the queue"));
   EXPECT_THAT(stopped.out, HasSubstr("wait for the next night"));
   EXPECT_THAT(Leftovers(store, false), ::testing::IsEmpty());
   EXPECT_EQ(RunBatch(store).code, 0);
@@ -205,7 +205,7 @@ TEST_F(BatchNight, OutsideOfItsSpanItSaysHowTheNightWent) {
 TEST_F(BatchNight, BadWordsAreNamed) {
   const fs::path store = Captured("words");
   const std::string batch = "stratalux-fit batch ", in = " --store " + store.string();
-  EXPECT_THAT(Execute(batch + "run --until 25:00" + in).out, HasSubstr("--until 25:00: a time of day"));
+  EXPECT_THAT(Execute(batch + "run --until 25:00" + in).out, HasSubstr("--until 25:00: expected a time of day"));
   EXPECT_EQ(Execute(batch + "run --until 7" + in).code, 2);
   EXPECT_EQ(Execute(batch + "run --from 20:00" + in).code, 2);
   EXPECT_EQ(Execute(batch + "run --workers 2 --layers 99" + in).code, 2);

@@ -138,7 +138,7 @@ TEST_F(Cloud, ACalibrationOfAnotherRigIsRefused) {
   refused(wider, 2, {"s000001-", "96x72", "98x72", "of another rig"});
   Json fewer = Record();
   fewer["projectors"].erase(3);
-  refused(fewer, 2, {"projector 3 shows codes", "has 3 projectors", "of another rig"});
+  refused(fewer, 2, {"projector 3 shows codes", "has only 3 projectors", "of another rig"});
   Json finer = Record();
   finer["projectors"][2]["model"]["height"] = 768;
   refused(finer, 2, {"projector 2 has codes of 7 bits", "768 rows", "of another rig"});

@@ -155,7 +155,7 @@ TEST_F(EncryptedNight, OnOtherMachinesNeedsTheKeysOfTheShareAloneAndLeavesThemNo
                              " 2>&1 & echo $! >" + answering + ".pid ) && ";
   const Outcome asks = shard("2/2", answer, " --ask-keys");
   EXPECT_EQ(asks.code, 0) << asks.out;
-  EXPECT_THAT(asks.out, HasSubstr("1 keys came"));
+  EXPECT_THAT(asks.out, HasSubstr("1 keys received"));
   EXPECT_EQ(Shell("kill -TERM $(cat " + answering + ".pid)").code, 0);
   const Outcome over = Shell("for i in $(seq 100); do grep -q 'answered in all' " + answering +
                              " && break; sleep 0.1; done; cat " + answering);

@@ -211,7 +211,7 @@ TEST_F(KeyExchange, OneAnswersAtATime) {
   {
     const auto other = db::FileLock::TryTake(results_ / ".answer.lock", "");
     ASSERT_TRUE(other.ok());
-    EXPECT_THAT(ProblemsOfALook().front(), HasSubstr("another program answers"));
+    EXPECT_THAT(ProblemsOfALook().front(), HasSubstr("another program already answers"));
   }
   EXPECT_EQ(AnswerAsks(folder_, results_, plan_).answered, 1);
 }
@@ -237,12 +237,12 @@ TEST_F(KeyExchange, AsksThatAreNotWhatTheySayAreNamedAndNotAnswered) {
   fs::permissions(file, fs::perms::others_write, fs::perm_options::remove);
   fs::rename(file, results_ / "elsewhere");
   fs::create_symlink(results_ / "elsewhere", file);
-  EXPECT_THAT(ProblemsOfALook().front(), HasSubstr("no plain file"));
+  EXPECT_THAT(ProblemsOfALook().front(), HasSubstr("not a plain file"));
   fs::remove(file);
   AskBy(reader, {{"padding", std::string(5000, 'x')}});
   EXPECT_THAT(ProblemsOfALook().front(), HasSubstr("too large"));
   AskBy(reader, {{"reader", "/etc/passwd"}});
-  EXPECT_THAT(ProblemsOfALook().front(), HasSubstr("'/etc/passwd' is no public key"));
+  EXPECT_THAT(ProblemsOfALook().front(), HasSubstr("'/etc/passwd' is not a public key"));
   AskBy(reader);
   fs::permissions(results_ / "keys", fs::perms::group_write, fs::perm_options::add);
   EXPECT_THAT(ProblemsOfALook().front(), HasSubstr("others may write"));
@@ -250,7 +250,7 @@ TEST_F(KeyExchange, AsksThatAreNotWhatTheySayAreNamedAndNotAnswered) {
   if (geteuid() == 0) {
     AskBy(reader);
     ASSERT_EQ(chown(file.c_str(), 65534, 65534), 0);
-    EXPECT_THAT(ProblemsOfALook().front(), HasSubstr("of the user 65534"));
+    EXPECT_THAT(ProblemsOfALook().front(), HasSubstr("belongs to user 65534"));
   }
 }
 
@@ -309,7 +309,7 @@ TEST_F(KeyExchange, AnAnswerForAnotherShardIsRefused) {
   fs::rename(answer.string() + ".new", answer);
   const auto keys = asked.get();
   EXPECT_EQ(keys.status().code(), StatusCode::kIntegrity);
-  EXPECT_THAT(keys.status().message(), HasSubstr("none of shard 1/2"));
+  EXPECT_THAT(keys.status().message(), HasSubstr("does not belong to shard 1/2"));
 }
 
 }  // namespace

@@ -198,7 +198,7 @@ TEST_F(NightTest, WhoeverEatsMemoryIsEnded) {
                                   " ] || { LINE=$(head -c 400000000 /dev/zero | tr '\\0' x); sleep 1000; }\n");
   ASSERT_EQ(chmod(options_.program.c_str(), 0755), 0);
   EXPECT_EQ(Run().failed, 1);
-  EXPECT_THAT(VisitOf(sessions_[0]).reason, HasSubstr("of memory; all workers together have 0.06 GiB (--memory)"));
+  EXPECT_THAT(VisitOf(sessions_[0]).reason, HasSubstr("of memory; all workers together may use 0.06 GiB (--memory)"));
   EXPECT_EQ(VisitOf(sessions_[1]).kind, NightEventKind::kDone);
 }
 

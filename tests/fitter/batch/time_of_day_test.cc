@@ -62,7 +62,7 @@ TEST_F(TimeOfDay, WasLastTodayOrYesterday) {
   EXPECT_EQ(since(At(1, 1, 7, 0)), 11h);
   EXPECT_EQ(since(At(3, 29, 7, 0)), 10h);
   EXPECT_EQ(since(At(10, 25, 7, 0)), 12h);
-  EXPECT_EQ(TimeSince("x", 0, "--from").status().message(), "--from x: a time of day, such as 07:00");
+  EXPECT_EQ(TimeSince("x", 0, "--from").status().message(), "--from x: expected a time of day, such as 07:00");
 }
 
 TEST_F(TimeOfDay, IsNothingElse) {
@@ -70,7 +70,7 @@ TEST_F(TimeOfDay, IsNothingElse) {
     EXPECT_EQ(TimeUntil(text, At(5, 14, 20, 0)).status().code(), StatusCode::kUsage) << text;
     EXPECT_EQ(IsBetween(text, "07:00", At(5, 14, 20, 0)).status().code(), StatusCode::kUsage) << text;
   }
-  EXPECT_EQ(IsBetween("x", "07:00", 0).status().message(), "--from x: a time of day, such as 07:00");
+  EXPECT_EQ(IsBetween("x", "07:00", 0).status().message(), "--from x: expected a time of day, such as 07:00");
 }
 
 // A night that fails at its end and is begun again five minutes later fits nobody by day.

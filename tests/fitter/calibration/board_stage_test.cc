@@ -139,7 +139,8 @@ TEST_F(BoardStage, AProjectorOfUnknownSizeIsWarnedOf) {
   const auto boards = Observe(*session, Chessboard());
   ASSERT_TRUE(boards.ok()) << boards.status().message();
   EXPECT_EQ(boards->observations.projectors[0].width, 256);
-  EXPECT_THAT(Said(), HasSubstr("taken as 256x256, all that their codes can number; give --projector-size"));
+  EXPECT_THAT(Said(),
+              HasSubstr("taken as 256x256, the largest size that their codes can number; give --projector-size"));
 }
 
 TEST_F(BoardStage, NeedsNoInversesAndSaysWhatIsNotLookedAt) {

@@ -80,7 +80,7 @@ TEST_F(ProfileCsv, NamesFileLineValueAndRemedy) {
   EXPECT_THAT(Refused(rows + "b,0,0,0,0.2,0.1\n"), HasSubstr("slit_mm = 0"));
   EXPECT_THAT(Refused(rows + ",0,0,1,0.2,0.1\n"), HasSubstr("source is empty"));
   EXPECT_THAT(Refused(rows + "Stirn hell gr\xfcn,0,0,1,0.2,0.1\n"),
-              HasSubstr("profiles.csv:4: source 'Stirn hell gr\\xfcn' is no UTF-8; save the table as UTF-8"));
+              HasSubstr("profiles.csv:4: source 'Stirn hell gr\\xfcn' is not UTF-8; save the table as UTF-8"));
   EXPECT_THAT(Refused(rows + "\"a,0,0,1,0.2,0.1\n"), HasSubstr("quote is not closed"));
 }
 

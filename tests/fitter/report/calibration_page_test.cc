@@ -65,7 +65,7 @@ TEST(CalibrationPage, SaysFirstWhatIsWrongAndWhatToDo) {
   EXPECT_THAT(html, HasSubstr("few &lt;poses&gt;"));
   EXPECT_LT(html.find("tilt the board"), html.find("take more"));
   EXPECT_LT(html.find("take more"), html.find("Residuals"));
-  EXPECT_THAT(Page({{"s1"}, {}, &Calibrated()}), HasSubstr("Accepted: nothing speaks against"));
+  EXPECT_THAT(Page({{"s1"}, {}, &Calibrated()}), HasSubstr("Accepted: no fault was found"));
 }
 
 TEST(CalibrationPage, ExplainsACalibrationThatDidNotComeAbout) {

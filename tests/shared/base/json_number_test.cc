@@ -28,7 +28,7 @@ TEST(WholeNumber, NamesItsMember) {
     (void)WholeAt<int>(json, "width");
     FAIL();
   } catch (const Json::exception& error) {
-    EXPECT_NE(std::string(error.what()).find("width: 1e+300 is no whole number"), std::string::npos) << error.what();
+    EXPECT_NE(std::string(error.what()).find("width: 1e+300 is not a whole number"), std::string::npos) << error.what();
   }
 }
 
