@@ -150,8 +150,8 @@ int RunServe(const CommonFlags& common, const ServeFlags& flags) {
   auto server = http::Server::Start(std::move(options), RoutesOf(site), logger);
   if (!server.ok()) return Report(server.status());
   if (!http::IsLoopback(flags.address))
-    logger.Warning("whoever reaches " + server->url() +
-                   " and has the token sees this store; what is sent is not"
+    logger.Warning("anyone who reaches " + server->url() +
+                   " and has the token can see this store; the connection is not"
                    " encrypted: put a reverse proxy with TLS in front (docs/operators-guide.md)");
   if (const int printed = Announce(common, flags, *server, access->token); printed != 0) return printed;
   std::optional<LinkPage> page;

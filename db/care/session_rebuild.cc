@@ -105,7 +105,7 @@ class Rebuilder {
       const auto there = DescribeFile(folder_, name);
       if (there.ok() && !listed.hash.empty() && there->bytes == listed.bytes && there->hash == listed.hash) return true;
       if (there.ok() && (there->bytes != listed.bytes || there->hash != listed.hash))
-        session_.problems.push_back(file.string() + " is not the file that the manifest speaks of");
+        session_.problems.push_back(file.string() + " is not the file that the manifest describes");
     }
     return false;
   }

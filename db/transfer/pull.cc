@@ -96,7 +96,7 @@ auto Puller::ForTheSource(const Wait& wait) {
 bool Puller::Claim(const std::string& id) {
   if (shared_.claimed.insert(id).second) return true;
   report_.notes.push_back("session " + id +
-                          " comes from another source now; what this one has more of it, the next"
+                          " comes from another source now; what else this one has of it, the next"
                           " pull takes");
   return false;
 }
@@ -140,7 +140,8 @@ Status Puller::Obey() {
   request.sessions = still_here;
   SLX_ASSIGN_OR_RETURN(const ForgetReport gone, Forget(store_, request, logger_));
   for (const ForgottenSession& session : gone.sessions) report_.obeyed.push_back(session.id);
-  for (const std::string& leftover : gone.leftovers) report_.problems.push_back("forgotten, but left: " + leftover);
+  for (const std::string& leftover : gone.leftovers)
+    report_.problems.push_back("forgotten, but still there: " + leftover);
   for (const std::string& id : still_here) shared_.here.erase(id);
   return Status::Ok();
 }
@@ -193,7 +194,7 @@ Status Puller::FetchSession(const std::string& id) {
 Status Puller::SayDoubts(const std::string& id) {
   SLX_ASSIGN_OR_RETURN(const auto doubts, DoubtsAbout(store_, id));
   for (const std::string& doubt : doubts)
-    report_.problems.push_back("session " + id + " was taken, and verify says: " + doubt);
+    report_.problems.push_back("session " + id + " was fetched, but verify says: " + doubt);
   return Status::Ok();
 }
 
@@ -272,7 +273,7 @@ bool Puller::InTime() const { return !deadline_ || std::chrono::steady_clock::no
 
 Status Puller::OutOfTime(const std::string& how_far) const {
   return Status(StatusCode::kTryAgain, "the limit of " + std::to_string(options_.limit.count()) +
-                                           " s is over: " + how_far + ", the next pull goes on");
+                                           " s is over: " + how_far + ", the next pull continues");
 }
 
 Status Puller::Run() {
@@ -312,7 +313,7 @@ constexpr size_t kMostSources = 256;  // a thread and an rsync each
 
 Status CheckSource(const std::string& from) {
   if (from.empty()) return Status::Usage("--from is empty; give user@host:/path/of/the/store or a local folder");
-  if (from.starts_with('-')) return Status::Usage("--from " + from + ": a source begins with no dash");
+  if (from.starts_with('-')) return Status::Usage("--from " + from + ": a source must not begin with a dash");
   return Status::Ok();
 }
 

@@ -163,7 +163,7 @@ TEST_F(ImportTest, WarnsOfWhiteThatIsReadOnceAndListedTwice) {
   const auto whites = notes(std::string(kHead) + kPoses + kFiles + white + white);
   ASSERT_EQ(whites.size(), 2U) << "one a pose";
   EXPECT_THAT(whites[1], HasSubstr("'white' of projector 0, pose 7, phase reference is listed at"));
-  EXPECT_THAT(whites[1], HasSubstr("read the last one alone"));
+  EXPECT_THAT(whites[1], HasSubstr("use only the last one"));
   EXPECT_EQ(notes(std::string(kHead) + kPoses + kFiles + black + black).size(), 2U);
   // Where poses are not numbered, and in other phases, stages take the mean of all.
   EXPECT_THAT(notes(std::string(kHead) + black + black), IsEmpty());

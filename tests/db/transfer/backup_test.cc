@@ -256,8 +256,8 @@ TEST_F(BackupTest, ARottenCopyIsMadeAgainOrNamedUntilItIsGood) {
   std::filesystem::last_write_time(Segment(gone), time);  // rotted, too: nobody wrote it
   const Outcome outcome = Db("backup --scrub all --store " + folder_.string() + " --to " + backup_.string());
   EXPECT_EQ(outcome.code, 3);
-  EXPECT_THAT(outcome.out, HasSubstr("rotten copy made again: sessions/" + mendable));
-  EXPECT_THAT(outcome.out, HasSubstr("has rotted in the backup, and the store has no good one"));
+  EXPECT_THAT(outcome.out, HasSubstr("damaged copy replaced: sessions/" + mendable));
+  EXPECT_THAT(outcome.out, HasSubstr("is damaged in the backup, and the store has no good one"));
   EXPECT_EQ(ReadBytes(Copied(mendable)), good);
   const auto again = BackUp();  // in turn: what is known to be bad comes first
   ASSERT_TRUE(again.ok());

@@ -136,7 +136,7 @@ TEST_F(PullTest, ASegmentSealedAnewIsNotTheManifestsAndStaysOutside) {
   const auto before = ReadBytes(manifest);
   RewriteSegment(Segment(changed), [](FrameHeader& header) { header.gain *= 2; });
   WriteBytes(manifest, before);
-  EXPECT_THAT(PullHere()->problems, ElementsAre(HasSubstr("is not the file that the manifest speaks of")));
+  EXPECT_THAT(PullHere()->problems, ElementsAre(HasSubstr("is not the file that the manifest describes")));
   EXPECT_EQ(Ids(other_), std::vector{good});
 }
 
