@@ -321,7 +321,7 @@ void AddQueryCommands(Commands& commands) {
   stratalux-db sql "SELECT rig, count(*) FROM sessions GROUP BY rig"
   stratalux-db sql "SELECT name, sql FROM sqlite_schema WHERE type = 'view'"
   stratalux-db query retakes --sql | stratalux-db sql - --json
-Without --limit at most 10000 rows are printed; more of them: exit code 3. A statement that writes: exit code 2.)");
+Without --limit at most 10000 rows are printed; exit code 3 if there are more. Exit code 2: the statement writes.)");
 }
 
 }  // namespace stratalux::db

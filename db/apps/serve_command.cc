@@ -172,7 +172,7 @@ void AddServeCommand(Commands& commands) {
   CLI::App* serve = commands.Add("serve", "Show the store in a browser, read-only, until Ctrl-C",
                                  [&common, flags] { return RunServe(common, *flags); });
   serve->add_option("--port", flags->port, "port (default: any free one)")->check(CLI::Range(0, 65535));
-  serve->add_option("--address", flags->address, "IPv4 or IPv6 address (default: 127.0.0.1, this machine alone)");
+  serve->add_option("--address", flags->address, "IPv4 or IPv6 address (default: 127.0.0.1, this machine only)");
   serve->add_option("--token-file", flags->token_file,
                     "file whose first line is the token (default: a link that works once)");
   serve->add_flag("--no-open", flags->no_open, "do not open a browser");

@@ -239,7 +239,7 @@ void AddTransferCommands(Commands& commands) {
   exported->add_option("SESSION", flags->sessions, "id, unique prefix, or latest; several with --crate");
   const std::vector<CLI::Option*> plain = {
       exported->add_option("--visitor", flags->visitor, "all sessions, consents and fits of this pseudonym"),
-      exported->add_option("--out", flags->out, "a new folder, or that of an interrupted export"),
+      exported->add_option("--out", flags->out, "a new folder, or the folder of an interrupted export"),
       exported->add_option("--format", flags->format, "png or tiff")->check(CLI::IsMember({"png", "tiff"})),
       exported->add_option("--phase", flags->phase, "this phase only"),
       exported->add_option("--projector", flags->projector, "this projector only")};
@@ -252,7 +252,7 @@ void AddTransferCommands(Commands& commands) {
                                   [&common, flags] { return RunBackup(common, *flags); });
   backup->footer(Examples({"backup --to /media/disk/store-backup",
                            "backup --to /media/disk/store-backup --keys /media/stick/keys.sqlite"}));
-  backup->add_option("--to", flags->to, "a folder of its own, best on another disk")->required();
+  backup->add_option("--to", flags->to, "a separate folder, preferably on another disk")->required();
   backup->add_option("--keys", flags->keys, "copy keys.sqlite to this file, separate from the backup");
   backup
       ->add_option("--scrub", flags->scrub,

@@ -147,10 +147,9 @@ void AddViewCommands(Commands& commands) {
   const CommonFlags& common = commands.flags();
   CLI::App* init =
       commands.Add("init", "Make a store; leaves an existing one as it is", [&common] { return RunInit(common); });
-  init->footer(
-      Examples({"init --store store"},
-               "The folder must be new, empty or a store; other than that it may hold lost+found, .Trash*, .nfs*,\n"
-               ".snapshot, .snapshots and .zfs."));
+  init->footer(Examples({"init --store store"},
+                        "The folder must be new, empty or a store; other than that, only lost+found, .Trash*, .nfs*,\n"
+                        ".snapshot, .snapshots and .zfs may lie in it."));
   CLI::App* show = commands.Add("show", "Show one session", [&common, flags] { return RunShow(common, *flags); });
   CLI::App* frames = commands.Add("frames", "List the frames of a session with their proof; extract them as PNG",
                                   [&common, flags] { return RunFrames(common, *flags); });

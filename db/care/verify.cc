@@ -172,7 +172,7 @@ void CheckManifest(const std::filesystem::path& folder, const SessionRow& sessio
     report.problems.push_back(file + " says '" + ToString(manifest->status) + "', the index '" +
                               ToString(session.info.status) + "'");
   if (contents->frames != session.frames)
-    report.problems.push_back(file + " speaks of " + std::to_string(contents->frames) + " frames, the index of " +
+    report.problems.push_back(file + " lists " + std::to_string(contents->frames) + " frames, the index lists " +
                               std::to_string(session.frames));
   for (const std::string& name : contents->segments) {
     const bool inside = !name.empty() && name.find('/') == std::string::npos;

@@ -182,7 +182,7 @@ Status ReadCells(const std::vector<std::string>& line, CrateFrame& frame) {
   frame.row.codec = cells.Text();
   if (frame.row.codec != "raw8" && frame.row.codec != "raw12" && frame.row.codec != "raw16" &&
       frame.row.codec != "delta")
-    cells.Unknown("is none of raw8, raw12, raw16, delta");
+    cells.Unknown("is not one of raw8, raw12, raw16, delta");
   frame.row.segment = cells.Text();
   frame.row.hash = cells.Text();
   if (!IsHash128(frame.row.hash)) cells.Wrong("not 32 hex digits");

@@ -40,7 +40,7 @@ class Scanner {
       const auto header = reader_.ReadHeader(f.offset);
       if (!header.ok() || std::memcmp(&*header, &f.header, sizeof f.header) == 0) continue;
       scan_.findings.push_back("the footer disagrees with the header of frame " + std::to_string(header->frame) +
-                               At(f.offset) + "; the headers were taken");
+                               At(f.offset) + "; the headers were used");
       return false;
     }
     return true;
@@ -55,7 +55,7 @@ class Scanner {
       }
       const std::string what = "the header of frame " + std::to_string(f.header.frame) + " is damaged";
       if (IsWhole(f)) {
-        scan_.findings.push_back(what + At(f.offset) + "; its copy in the footer was taken");
+        scan_.findings.push_back(what + At(f.offset) + "; its copy in the footer was used");
         scan_.frames.push_back(f);
         continue;
       }

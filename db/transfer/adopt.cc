@@ -74,7 +74,7 @@ Result<int64_t> VerifyFiles(const fs::path& folder, const fs::path* keys_of) {
   if (fs::exists(folder / "truth.seg", error))
     SLX_RETURN_IF_ERROR(VerifySegment(folder / "truth.seg", info, keys_of, frames));
   if (frames != contents.frames)
-    return Status::Integrity((folder / "manifest.json").string() + " speaks of " + std::to_string(contents.frames) +
+    return Status::Integrity((folder / "manifest.json").string() + " lists " + std::to_string(contents.frames) +
                              " frames, its segments hold " + std::to_string(frames));
   SLX_RETURN_IF_ERROR(VerifyListed(folder, contents));
   return frames;

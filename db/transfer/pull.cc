@@ -96,8 +96,8 @@ auto Puller::ForTheSource(const Wait& wait) {
 bool Puller::Claim(const std::string& id) {
   if (shared_.claimed.insert(id).second) return true;
   report_.notes.push_back("session " + id +
-                          " comes from another source now; what else this one has of it, the next"
-                          " pull takes");
+                          " comes from another source now; the next pull fetches what else this"
+                          " one has of it");
   return false;
 }
 
@@ -217,7 +217,7 @@ Status Puller::TakeSession(const Offer& offer) {
   }
   // A damaged copy would look finished to rsync for good. One of a later version waits for a later program.
   if (taken.code() != StatusCode::kNewerSchema) SLX_RETURN_IF_ERROR(WipeFolder(IncomingFolder(store_, offer.id)));
-  report_.problems.push_back("session " + offer.id + " was not taken: " + taken.message());
+  report_.problems.push_back("session " + offer.id + " was not fetched: " + taken.message());
   return Status::Ok();
 }
 
@@ -227,7 +227,7 @@ Status Puller::TakeKeys(const Offer& offer) {
     const auto taken = AdoptSealedKey(store_, offer.id, file);
     if (IsTroubleOfAll(taken.status())) return taken.status();
     if (!taken.ok()) {
-      report_.problems.push_back("session " + offer.id + ": a sealed key was not taken: " + taken.status().message());
+      report_.problems.push_back("session " + offer.id + ": a sealed key was not fetched: " + taken.status().message());
       std::error_code error;
       fs::remove(file, error);  // fetched again, should the damage be ours
     } else if (*taken) {
@@ -261,9 +261,9 @@ Status Puller::TakeFits(const Offer& offer) {
     if (taken.ok()) {
       if (*taken) report_.fits.push_back(name);
     } else if (taken.status().code() == StatusCode::kUsage) {  // consent
-      report_.notes.push_back("fit " + name + " was not taken: " + taken.status().message());
+      report_.notes.push_back("fit " + name + " was not fetched: " + taken.status().message());
     } else {
-      report_.problems.push_back("fit " + name + " was not taken: " + taken.status().message());
+      report_.problems.push_back("fit " + name + " was not fetched: " + taken.status().message());
     }
   }
   return dry() ? Status::Ok() : WipeFolder(IncomingFits(store_, offer.id));

@@ -223,7 +223,7 @@ TEST_F(ImportTest, RefusesFilesOfAnotherKindThanStated) {
   Write16("a/white.png", 7);
   ExpectRefused(manifest, "a/white.png: has 16 bits");
   Write8("a/white.png", 1, 20, 11);
-  ExpectRefused(manifest, "a/white.png: is 20x11, the first file of its pose 20x10");
+  ExpectRefused(manifest, "a/white.png: is 20x11, but the first file of its pose is 20x10");
   Write8("a/white.png", 1, 20, 10, 3);
   ExpectRefused(manifest, "colour");
   WriteText(files_() / "a/white.png", "GIF89a");

@@ -157,7 +157,7 @@ TEST_F(KeySharing, DamagedOnTheWayIsNamedAndKeepsTheSessionNotAway) {
   const Outcome pulled = PullThere();
   EXPECT_EQ(pulled.code, 3);
   EXPECT_THAT(pulled.out, HasSubstr("3 sessions pulled"));
-  EXPECT_THAT(pulled.out, HasSubstr("session " + cut + ": a sealed key was not taken"));
+  EXPECT_THAT(pulled.out, HasSubstr("session " + cut + ": a sealed key was not fetched"));
   EXPECT_EQ(ReadThere(good, WithReader()).code, 0);
   EXPECT_EQ(ReadThere(cut, WithReader()).code, 4);
   EXPECT_THAT(Share().out, HasSubstr("2 keys sealed")) << "what is damaged is made anew";

@@ -290,7 +290,7 @@ TEST_F(BackupTest, AFullDiskIsSaidAndTheEarlierBackupStaysValid) {
       Shell("ulimit -f 100; trap '' XFSZ; " + std::string(STRATALUX_BIN_DIR) + "/stratalux-db backup --store " +
             folder_.string() + " --to " + backup_.string() + " 2>&1");
   EXPECT_EQ(outcome.code, 1) << outcome.out;
-  EXPECT_THAT(outcome.out, HasSubstr("stays valid, and the next run goes on"));
+  EXPECT_THAT(outcome.out, HasSubstr("stays valid, and the next run continues"));
   EXPECT_EQ(ReadBytes(backup_ / "backup.json"), list);
   ASSERT_TRUE(RestoreNew().ok());
   EXPECT_EQ(Ids(other_), std::vector{first});

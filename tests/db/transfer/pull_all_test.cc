@@ -166,7 +166,7 @@ TEST_F(PullAllTest, ADamagedRigIsItsOwnTrouble) {
   const std::string a = Visit(good), b = Visit(bad), c = Visit(bad);
   FlipBits(std::filesystem::path(bad) / "sessions" / b / "frames-0001.seg", 400, 1);
   const auto pulls = All({bad, good});
-  EXPECT_THAT(pulls[0].report.problems, ElementsAre(HasSubstr("session " + b + " was not taken")));
+  EXPECT_THAT(pulls[0].report.problems, ElementsAre(HasSubstr("session " + b + " was not fetched")));
   EXPECT_THAT(pulls[0].report.sessions, ElementsAre(c));
   EXPECT_THAT(pulls[1].report.problems, IsEmpty());
   EXPECT_THAT(Ids(other_), UnorderedElementsAre(a, c));
