@@ -314,7 +314,7 @@ Status CaptureStation::ReopenCamera() {
 }
 
 Status CaptureStation::SetSubject(const SubjectOptions& subject) {
-  if (!rig_.simulation) return Status::Usage("only a simulated rig can be told who sits before it");
+  if (!rig_.simulation) return Status::Usage("only a simulated rig can be told who sits in front of it");
   SLX_RETURN_IF_ERROR(rig_.simulation->SetSubject(subject));
   options_.simulated->scene = subject.scene;
   options_.simulated->seed = subject.seed;
