@@ -18,7 +18,7 @@ take_cache() {
   root=$cache/root
   mkdir -p "$cache"
   exec 9>"$cache/lock"
-  flock --nonblock 9 || fail "another run has $cache; wait for it or give --cache another folder"
+  flock --nonblock 9 || fail "another run is using $cache; wait for it or give --cache another folder"
 }
 # The mirror that this machine's apt takes Debian from, security updates apart.
 mirror() {
@@ -72,7 +72,7 @@ install_deps() {
   cp -L /etc/resolv.conf "$root/etc/resolv.conf"
   find "$root/tmp" -mindepth 1 -delete
   in_root /stratalux/scripts/install-deps.sh --groups "$@" >"$cache/packages.log" 2>&1 ||
-    { tail -n 20 "$cache/packages.log" >&2; fail "the packages cannot be installed, see $cache/packages.log; --fresh makes the root anew"; }
+    { tail -n 20 "$cache/packages.log" >&2; fail "the packages cannot be installed, see $cache/packages.log; --fresh makes a new root"; }
   if [ -n "${CCACHE_DIR:-}" ] && [ ! -x "$root/usr/bin/ccache" ]; then
     in_root apt-get install -y -qq --no-install-recommends ccache >>"$cache/packages.log" 2>&1 || echo "warning: no ccache in the root" >&2
   fi

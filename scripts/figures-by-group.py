@@ -168,14 +168,14 @@ def main():
     parser = figures_parser(__doc__, "696x520")
     parser.add_argument("--per-group", type=int, default=2, help="people of each group (2)")
     parser.add_argument("--first", type=int, default=1000, help="first number of the population to look at (1000)")
-    parser.add_argument("--scattering", type=float, help="of all, in place of their own")
-    parser.add_argument("--comb-period", type=int, help="columns between a comb's lines, in place of the plan's")
-    parser.add_argument("--code", help="of the columns, in place of the plan's")
+    parser.add_argument("--scattering", type=float, help="scattering of all people, instead of their own")
+    parser.add_argument("--comb-period", type=int, help="columns between a comb's lines, instead of the plan's")
+    parser.add_argument("--code", help="code of the columns, instead of the plan's")
     parser.add_argument("--geometry", choices=["reconstructed", "truth"], default="reconstructed",
-                        help="the surface that the fit stands on (reconstructed)")
+                        help="the surface that the fit is based on (reconstructed)")
     parser.add_argument("--run", action="append", default=[], metavar="OPTION",
                         help="an option of stratalux-fit run, as --run=--neighbours=off; may be repeated")
-    parser.add_argument("--list", action="store_true", help="only say who would be captured")
+    parser.add_argument("--list", action="store_true", help="only list who would be captured")
     args = parsed(parser)
     chosen = choose(args.bin, args.first, args.per_group)
     if args.list:

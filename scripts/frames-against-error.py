@@ -114,7 +114,8 @@ def numbers(text):
 def main():
     parser = figures_parser(__doc__, "696x520")
     parser.add_argument("--people", type=numbers, default=[1], help="seeds of their captures (1)")
-    parser.add_argument("--frames", type=numbers, default=[500, 256, 128, 64, 24], help="at most (500,256,128,64,24)")
+    parser.add_argument("--frames", type=numbers, default=[500, 256, 128, 64, 24],
+                        help="limits on the number of frames (500,256,128,64,24)")
     parser.add_argument("--geometry", type=lambda t: t.split(","), default=["reconstructed", "truth"],
                         help="surfaces (reconstructed,truth)")
     args = parsed(parser)

@@ -82,10 +82,10 @@ def words(text):
 def main():
     parser = figures_parser(__doc__, "348x260")
     root = pathlib.Path(__file__).resolve().parent.parent
-    parser.add_argument("--seed", default="5", help="of the captures (5)")
-    parser.add_argument("--scenes", type=words, default=SCENES, help=f"which ({','.join(SCENES)})")
-    parser.add_argument("--scene-folder", type=pathlib.Path, default=root / "docs/examples/scenes", help="of their files")
-    parser.add_argument("--heldouts", type=words, default=["0", "1", "2"], help="also of the visitor (0,1,2)")
+    parser.add_argument("--seed", default="5", help="seed of the captures (5)")
+    parser.add_argument("--scenes", type=words, default=SCENES, help=f"scenes ({','.join(SCENES)})")
+    parser.add_argument("--scene-folder", type=pathlib.Path, default=root / "docs/examples/scenes", help="folder of their files")
+    parser.add_argument("--heldouts", type=words, default=["0", "1", "2"], help="projectors to hold out of the visitor as well (0,1,2)")
     args = parsed(parser)
     rows, ok = [], True
     for scene, heldout in [(scene, 3) for scene in args.scenes] + [("visitor", int(h)) for h in args.heldouts]:

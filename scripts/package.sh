@@ -40,7 +40,7 @@ while [ $# -gt 0 ]; do
   esac
 done
 [[ -z $maintainer || $maintainer =~ ^[^\<]+\ \<[^@]+@[^@]+\>$ ]] || { echo "error: --maintainer '$maintainer': expected NAME <MAIL>" >&2; exit 2; }
-[[ -z $revision || $revision =~ ^[A-Za-z0-9+.~]+$ ]] || { echo "error: --revision '$revision': letters, digits, + . ~ alone" >&2; exit 2; }
+[[ -z $revision || $revision =~ ^[A-Za-z0-9+.~]+$ ]] || { echo "error: --revision '$revision': only letters, digits, + . ~" >&2; exit 2; }
 [ -z "$key" ] || gpg --list-secret-keys "$key" >/dev/null 2>&1 || fail "--sign $key: gpg has no such secret key (gpg --list-secret-keys)"
 mkdir -p "$out"
 out=$(cd "$out" && pwd)

@@ -13,10 +13,10 @@ def figures_parser(doc, size):
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     root = pathlib.Path(__file__).resolve().parent.parent
     parser.add_argument("--bin", type=pathlib.Path, default=root / "build/release/bin", help="where the programs are")
-    parser.add_argument("--work", type=pathlib.Path, help="where stores and logs stay; else nowhere")
-    parser.add_argument("--size", default=size, help=f"of the camera ({size})")
-    parser.add_argument("--check", action="store_true", help="exit 1 where something falls short")
-    parser.add_argument("--json", type=pathlib.Path, help="also write the figures there")
+    parser.add_argument("--work", type=pathlib.Path, help="folder that keeps stores and logs (default: they are not kept)")
+    parser.add_argument("--size", default=size, help=f"size of the camera ({size})")
+    parser.add_argument("--check", action="store_true", help="exit 1 if something falls short")
+    parser.add_argument("--json", type=pathlib.Path, help="also write the figures to this file")
     return parser
 
 

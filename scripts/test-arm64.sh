@@ -7,7 +7,7 @@ usage() {
   cat <<'HELP'
 usage: scripts/test-arm64.sh [12|13] [--fresh] [--cache DIR] [--debs DIR] [-j N] [ctest argument ...]
   12, 13             the release of Debian (default 12)
-  --fresh            make the root anew; otherwise the packages and objects of the last run are kept
+  --fresh            make a new root; otherwise the packages and objects of the last run are kept
   --cache DIR        where the root lies (default ${XDG_CACHE_HOME:-$HOME/.cache}/stratalux/arm64-N)
   --debs DIR         keep the packages for arm64 there
   -j N               compile and test with N processes (default: all processors)

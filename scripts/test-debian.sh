@@ -7,7 +7,7 @@ usage() {
   cat <<'HELP'
 usage: scripts/test-debian.sh [12|13] [--fresh] [--cache DIR] [-j N] [ctest argument ...]
   12, 13             the release of Debian (default 13)
-  --fresh            make the root anew; otherwise the packages and objects of the last run are kept
+  --fresh            make a new root; otherwise the packages and objects of the last run are kept
   --cache DIR        where the root lies (default ${XDG_CACHE_HOME:-$HOME/.cache}/stratalux/debian-N)
   -j N               compile and test with N processes (default: all processors)
   ctest argument     what ctest shall run; without -L: the labels unit and integration
@@ -43,7 +43,7 @@ case "$labels" in *batch*) groups+=,cluster ;; esac
 [ "$(id -u)" -eq 0 ] || skip "a root of Debian is mounted and entered, which needs root: sudo scripts/test-debian.sh $release"
 if [ -z "$labels" ]; then
   select+=(-L '^(unit|integration)$')
-  echo "left out: the labels soak, style, vm and web; -L asks for them" >&2
+  echo "left out: the labels soak, style, vm and web; -L selects them" >&2
 fi
 take_cache "${cache:-${XDG_CACHE_HOME:-$HOME/.cache}/stratalux/debian-$release}"
 if [ $fresh -eq 1 ] || [ ! -d "$root" ]; then make_root; fi

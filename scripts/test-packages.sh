@@ -8,7 +8,7 @@ usage() {
 usage: scripts/test-packages.sh [12|13] [--debs DIR] [--fresh] [--cache DIR] [-j N]
   12, 13         the release of Debian (default 13)
   --debs DIR     packages of that release, made by scripts/package.sh; default: made here, in the root of scripts/test-debian.sh
-  --fresh        make the clean root anew; otherwise a copy of the last one is used
+  --fresh        make a new clean root; otherwise a copy of the last one is used
   --cache DIR    where the roots lie (default ${XDG_CACHE_HOME:-$HOME/.cache}/stratalux/debian-N and packages-N)
   -j N           compile with N processes (default: all processors)
 Needs root and mmdebstrap (scripts/install-deps.sh); packages come from the mirror of this machine's own apt.

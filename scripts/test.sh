@@ -33,7 +33,7 @@ while [ $# -gt 0 ]; do
     *) echo "error: unknown option '$1'" >&2; usage >&2; exit 2 ;;
   esac
 done
-[ $list -eq 0 ] || [ $night -eq 1 ] || { echo "error: --list speaks of --night" >&2; exit 2; }
+[ $list -eq 0 ] || [ $night -eq 1 ] || { echo "error: --list needs --night" >&2; exit 2; }
 # Some tests wait more than they compute.
 cores=${jobs:-$(nproc)} jobs=${jobs:-$(($(nproc) + 1))}
 # What the build needs comes first, what only tests need while it builds.
@@ -46,7 +46,7 @@ finish_installing() {
 }
 if [ $install -eq 1 ] && [ $list -eq 0 ]; then
   "$root/scripts/install-deps.sh" --groups rig,fit,test
-  echo "test.sh: what the build needs is there after $SECONDS s" >&2
+  echo "test.sh: what the build needs is installed after $SECONDS s" >&2
   rest_log=$(mktemp)
   trap 'finish_installing || true; rm -f "$rest_log"' EXIT
   "$root/scripts/install-deps.sh" >"$rest_log" 2>&1 &

@@ -35,17 +35,18 @@ CrateOptions OptionsOf(const CrateFlags& flags) {
 }  // namespace
 
 void AddCrateExportFlags(CLI::App* command, const std::vector<CLI::Option*>& others, CrateFlags& flags) {
-  CLI::Option* crate = command->add_option("--crate", flags.crate, "an RO-Crate of the sessions in this new folder");
+  CLI::Option* crate =
+      command->add_option("--crate", flags.crate, "write an RO-Crate of the sessions to this new folder");
   for (CLI::Option* other : others) crate->excludes(other);
   const std::vector<CLI::Option*> own = {
-      command->add_option("--frames", flags.frames, "tiff16 or png16: frames of a crate")
+      command->add_option("--frames", flags.frames, "format of the crate's frames: tiff16 or png16")
           ->check(CLI::IsMember({"tiff16", "png16"})),
-      command->add_option("--scope", flags.scope, "what visitors' sessions leave for: research or publication")
+      command->add_option("--scope", flags.scope, "purpose of exporting visitors' sessions: research or publication")
           ->check(CLI::IsMember({"research", "publication"})),
       command->add_option("--title", flags.title, "name of the crate"),
-      command->add_option("--licence,--license", flags.licence, "identifier of the SPDX list, such as CC-BY-4.0"),
+      command->add_option("--licence,--license", flags.licence, "SPDX identifier of the licence, such as CC-BY-4.0"),
       command->add_flag("--keep-pseudonym", flags.keep_pseudonym,
-                        "the store's pseudonyms, not fresh ones of this crate")};
+                        "keep the store's pseudonyms; do not make new ones for this crate")};
   for (CLI::Option* option : own) option->needs(crate);
 }
 
@@ -87,7 +88,7 @@ int RunCrateImport(const CommonFlags& common, const std::string& crate) {
   const auto report = ImportCrate(*store, crate, logger);
   if (!report.ok()) return Report(report.status());
   for (const std::string& id : report->forgotten)
-    logger.Warning("session " + id + " was forgotten here and does not come back (`stratalux-db deletions`)");
+    logger.Warning("session " + id + " was forgotten here and is not imported again (`stratalux-db deletions`)");
   const Json json = {{"crate", crate},
                      {"sessions", report->sessions},
                      {"present", report->present},

@@ -48,7 +48,7 @@ std::string ExportsAsText(const std::vector<ForgottenExport>& exports, const For
     text += "  export " + e.place + ": " +
             (!flags.dry_run                     ? ToString(e.state)
              : e.state == ExportState::kDeleted ? "would be deleted"
-             : e.state == ExportState::kKept    ? "cannot be looked into from here, and would stay"
+             : e.state == ExportState::kKept    ? "cannot be read from here, and would stay"
                                                 : ToString(e.state)) +
             "\n";
   return text;
@@ -164,7 +164,8 @@ Result<ForgetRequest> RequestFor(const CommonFlags& common, const ForgetFlags& f
 
 int RunForget(const CommonFlags& common, ForgetFlags flags) {
   if (int(!flags.session.empty()) + int(!flags.visitor.empty()) + int(!flags.ticket.empty()) + int(flags.resume) != 1)
-    return Report(Status::Usage("forget: name a SESSION, --visitor V or --ticket CODE (or --resume what broke off)"));
+    return Report(Status::Usage(
+        "forget: name a SESSION, --visitor V or --ticket CODE (or --resume to finish an interrupted one)"));
   if (!flags.ticket.empty()) {
     auto visitor = VisitorOfTicket(flags.ticket);
     if (!visitor.ok()) return Report(visitor.status().WithContext("--ticket " + Printable(flags.ticket)));
@@ -177,7 +178,7 @@ int RunForget(const CommonFlags& common, ForgetFlags flags) {
   if (!begun.ok()) return Report(begun.status());
   if (!flags.resume && nothing && begun->empty()) {
     std::fprintf(stderr,
-                 "stratalux-db: session %s is forgotten already (`stratalux-db deletions` shows its certificate)\n",
+                 "stratalux-db: session %s was already forgotten (`stratalux-db deletions` shows its certificate)\n",
                  flags.session.c_str());
     return common.json ? Print(TextOf(JsonOf({}, {}, flags))) : 0;
   }
@@ -196,7 +197,7 @@ Result<WallNs> ParseDate(const std::string& text) {
     if (end == nullptr || *end != '\0') continue;
     int64_t ns = 0;
     if (__builtin_mul_overflow(static_cast<int64_t>(timegm(&utc)), int64_t{1'000'000'000}, &ns))
-      return Status::Usage("--now '" + text + "' is beyond the years 1678 to 2262 that the store can name");
+      return Status::Usage("--now '" + text + "' is outside the years 1678 to 2262 that the store can represent");
     return WallNs{ns};
   }
   return Status::Usage("--now '" + text + "': expected a date such as 2027-01-31 or 2027-01-31T12:00:00Z");
@@ -258,7 +259,7 @@ class PurgePlan {
   [[nodiscard]] std::string TextEnd(const std::vector<std::string>& incoming, const Reasons& reasons) const {
     const std::string total = std::to_string(sessions_) + " sessions, " + std::to_string(frames_) + " frames, " +
                               std::to_string(fits_) + " fits, " + std::to_string(bytes_) +
-                              " bytes of frames (by the index; fits and other files come on top)\n";
+                              " bytes of frames (from the index; fits and other files are not counted)\n";
     return IncomingAsText(incoming, reasons, flags_) +
            (sessions_ > 0      ? total
             : incoming.empty() ? "no session\n"
@@ -292,7 +293,7 @@ Result<IncomingLock> AddLeftovers(const CommonFlags& common, const ForgetFlags& 
                                   WallNs now, ForgetRequest& request, Reasons& reasons) {
   IncomingLock lock;
   if (IncomingLock::IsHeld(common.store)) {
-    std::fprintf(stderr, "stratalux-db: a pull or restore is at work: incoming/ was not looked at\n");
+    std::fprintf(stderr, "stratalux-db: a pull or restore is running: incoming/ was not checked\n");
     return lock;
   }
   SLX_ASSIGN_OR_RETURN(auto leftovers, DueIncoming(common.store, days, now));
@@ -367,7 +368,7 @@ int RunDeletions(const CommonFlags& common) {
     const Json json = Json::parse(sound ? deletion.certificate_json : std::string(), nullptr, false);
     if (!json.is_object() || !json.contains("verification") || !json["verification"].is_object()) {
       all.push_back({{"session", deletion.session}, {"unfinished", true}});
-      text += deletion.session + "  begun and not finished: `stratalux-db forget --resume`\n";
+      text += deletion.session + "  begun but not finished: run `stratalux-db forget --resume`\n";
       continue;
     }
     all.push_back(json);
@@ -386,18 +387,19 @@ void AddForgetCommands(Commands& commands) {
                                   [&common, flags] { return RunForget(common, *flags); });
   forget->add_option("SESSION", flags->session, "id, unique prefix, or latest");
   forget->add_option("--visitor", flags->visitor, "all sessions and consents of this pseudonym");
-  forget->add_option("--ticket", flags->ticket, "the same of the visitor who has this code of a kiosk's ticket");
-  forget->add_flag("--resume", flags->resume, "only finish what broke off");
+  forget->add_option("--ticket", flags->ticket, "the same for the visitor whose kiosk ticket has this code");
+  forget->add_flag("--resume", flags->resume, "only finish what was interrupted");
   forget->add_flag("--yes", flags->yes, "do it");
   forget->footer(Examples({"forget s000017 --dry-run", "forget s000017 --yes", "forget --visitor v-5f3a91c2 --yes",
                            "forget --ticket 7K3QZ-M0P4T-3 --yes", "forget --resume"},
-                          "Exit code 3: something of it was found after all; the report says where."));
-  CLI::App* purge = commands.Add("purge", "Forget visitors' sessions past their class, or whose consent was withdrawn",
-                                 [&common, flags] { return RunPurge(common, *flags); });
+                          "Exit code 3: traces were found after all; the report says where."));
+  CLI::App* purge =
+      commands.Add("purge", "Forget visitors' sessions kept past their time, or whose consent was withdrawn",
+                   [&common, flags] { return RunPurge(common, *flags); });
   purge->add_option("--config", flags->config, "TOML file with [retention] (docs/examples/rig.toml)");
-  purge->add_option("--short-days", flags->short_days, "days of the class short (default: 30)");
-  purge->add_option("--standard-days", flags->standard_days, "days of the class standard (default: 365)");
-  purge->add_option("--long-days", flags->long_days, "days of the class long (default: 3650)");
+  purge->add_option("--short-days", flags->short_days, "days that the class short is kept (default: 30)");
+  purge->add_option("--standard-days", flags->standard_days, "days that the class standard is kept (default: 365)");
+  purge->add_option("--long-days", flags->long_days, "days that the class long is kept (default: 3650)");
   purge->add_option("--now", flags->now, "as if today were this date, such as 2027-01-31 (UTC)");
   for (CLI::App* command : {forget, purge})
     command->add_flag("--dry-run", flags->dry_run, "show what would go; change nothing");

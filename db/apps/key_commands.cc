@@ -84,7 +84,7 @@ int Unshare(const CommonFlags& common, const KeyFlags& flags) {
   const Json json = {{"reader", ToHex(*reader)}, {"removed", *removed}};
   return Print(common.json ? TextOf(json)
                            : "reader " + ToHex(*reader) + " removed, with " + std::to_string(*removed) +
-                                 " sealed keys; what a pull has taken is where it was taken to\n");
+                                 " sealed keys; copies that a pull has already fetched stay where they are\n");
 }
 
 int ShowReaders(const CommonFlags& common) {
@@ -97,7 +97,7 @@ int ShowReaders(const CommonFlags& common) {
         {{"reader", ToHex(row.id)}, {"sealed", row.sealed}, {"public_key", row.key ? Json(ToText(*row.key)) : Json()}});
     char line[64];
     std::snprintf(line, sizeof line, "  %6lld  ", static_cast<long long>(row.sealed));
-    text += ToHex(row.id) + line + (row.key ? ToText(*row.key) : "no reader of this store") + "\n";
+    text += ToHex(row.id) + line + (row.key ? ToText(*row.key) : "not a reader of this store") + "\n";
   }
   return Print(common.json ? TextOf(json) : text + (rows->empty() ? "(none)\n" : ""));
 }
@@ -113,13 +113,13 @@ void AddKeyCommand(Commands& commands) {
   const auto chosen = std::make_shared<Verb>();
   const CommonFlags& common = commands.flags();
   CLI::App* key = commands.Add(
-      "key", "Keys of encrypted sessions; the key that signs this rig's", [chosen] { return chosen->run(); },
-      [chosen] { return chosen->needs_store; });
+      "key", "Keys of encrypted sessions, and the key that signs this rig's sessions",
+      [chosen] { return chosen->run(); }, [chosen] { return chosen->needs_store; });
   key->footer(
       Examples({"key export s000017 --out s000017.key", "key import s000017.key", "key sign-init > rig-1.pub",
                 "key reader-init --out reader.key > workstation.pub", "key share workstation.pub --store store",
                 "key readers", "key unshare 3f5c"},
-               "A reader is whoever fits encrypted sessions elsewhere: `reader-init` there, `share` on the rig."));
+               "A reader fits encrypted sessions on another machine: run `reader-init` there, `share` on the rig."));
   key->require_subcommand(1);
   key->fallthrough();
   const auto add = [key, chosen](const char* name, const char* description, const std::function<int()>& run) {
@@ -135,8 +135,8 @@ void AddKeyCommand(Commands& commands) {
                            [&common, flags] { return ExportKey(common, *flags); });
   take_out->add_option("SESSION", flags->session, "id, unique prefix, or latest")->required();
   take_out->add_option("--out", flags->file, "file to write")->required();
-  add("import", "Take in the key that FILE holds", [&common, flags] { return ImportKey(common, *flags); })
-      ->add_option("FILE", flags->file, "as `key export` wrote it")
+  add("import", "Import the key in FILE", [&common, flags] { return ImportKey(common, *flags); })
+      ->add_option("FILE", flags->file, "file that `key export` wrote")
       ->required();
   add("sign-init", "Make the key that signs sessions; print its public half",
       [&common] { return PrintRigKey(common, RigKey::Create); });
@@ -144,16 +144,17 @@ void AddKeyCommand(Commands& commands) {
       [&common] { return PrintRigKey(common, RigKey::Read); });
   add("reader-init", "Make a reader's key pair; print its public half",
       [&common, flags] { return PrintReaderKey(common, ReaderKey::Create(flags->file)); })
-      ->add_option("--out", flags->file, "file for the private half, of mode 0600; in no store")
+      ->add_option("--out", flags->file, "file for the private half (mode 0600), outside any store")
       ->required();
   add("reader-public", "Print the public half of a reader's key", [&common, flags] {
     return PrintReaderKey(common, flags->file.empty() ? ReaderKey::OfEnvironment() : ReaderKey::Read(flags->file));
-  })->add_option("FILE", flags->file, "of reader-init (default: $STRATALUX_READER_KEY)");
-  add("share", "Seal the sessions' keys to a reader: of those that are here, and as each new one begins",
-      [&common, flags] { return Share(common, *flags); })
-      ->add_option("PUBLIC", flags->reader, "public key, or a file of it (default: the readers that the store has)");
-  add("unshare", "Remove a reader, and what is sealed to it here", [&common, flags] { return Unshare(common, *flags); })
-      ->add_option("READER", flags->reader, "begin of its id, or its public key")
+  })->add_option("FILE", flags->file, "file that reader-init wrote (default: $STRATALUX_READER_KEY)");
+  add("share", "Seal the keys of the sessions here, and of each new one as it begins, to a reader", [&common, flags] {
+    return Share(common, *flags);
+  })->add_option("PUBLIC", flags->reader, "public key, or a file that holds it (default: the store's readers)");
+  add("unshare", "Remove a reader and the keys that are sealed to it here",
+      [&common, flags] { return Unshare(common, *flags); })
+      ->add_option("READER", flags->reader, "start of its id, or its public key")
       ->required();
   add("readers", "List the readers", [&common] { return ShowReaders(common); });
 }

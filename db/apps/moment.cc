@@ -49,7 +49,7 @@ Result<WallNs> ParseMoment(const std::string& text, WallNs now) {
   if (const auto age = AgeSeconds(text)) return WallNs{now.ns - *age * kSecondNs};
   if (const auto date = DateSeconds(text)) return WallNs{*date * kSecondNs};
   return Status::Usage("'" + text +
-                       "' is no moment; give an age such as 30m, 12h, 7d, 2w or a date such as 2026-11-21 or " +
+                       "' is not a time; give an age such as 30m, 12h, 7d, 2w or a date such as 2026-11-21 or " +
                        "2026-11-21T04:06 (UTC)");
 }
 

@@ -88,15 +88,15 @@ void AddConsent(Commands& commands) {
   // --store and --json may stand behind the last word, too.
   consent->fallthrough();
   flags->give = consent->add_subcommand("give", "Record what a visitor agreed to; the newest consent counts");
-  flags->withdraw = consent->add_subcommand("withdraw", "Record that a visitor agrees no more");
+  flags->withdraw = consent->add_subcommand("withdraw", "Record that a visitor has withdrawn consent");
   CLI::App* show = consent->add_subcommand("show", "List the consents, oldest first");
   for (CLI::App* verb : {flags->give, flags->withdraw, show}) {
     verb->fallthrough();
     CLI::Option* visitor = verb->add_option("--visitor", flags->visitor, "pseudonym");
     if (verb != show) visitor->required();
   }
-  flags->give->add_option("--text-version", flags->text_version, "of the text that was shown")->required();
-  flags->give->add_option("--language", flags->language, "in which it was shown, such as de")->required();
+  flags->give->add_option("--text-version", flags->text_version, "version of the text that was shown")->required();
+  flags->give->add_option("--language", flags->language, "language in which it was shown, such as de")->required();
   flags->give->add_option("--scope", flags->scope, "fit, research, publication, joined by commas")->required();
 }
 

@@ -39,7 +39,7 @@ int PrintTable(const CommonFlags& common, const QueryFlags& flags, const ResultT
 }
 
 Status CheckFlags(const CommonFlags& common, const QueryFlags& flags) {
-  if (common.json && flags.csv) return Status::Usage("--json and --csv exclude each other");
+  if (common.json && flags.csv) return Status::Usage("--json and --csv cannot be used together");
   if (flags.limit && *flags.limit < 0) return Status::Usage("--limit must not be negative");
   return Status::Ok();
 }
@@ -71,7 +71,7 @@ Result<FitBound> BoundOf(const std::string& text, const char* default_metric, Fi
   const std::string number = equals == std::string::npos ? text : text.substr(equals + 1);
   std::istringstream stream(number);
   if (bound.metric.empty() || !(stream >> bound.value) || !stream.eof())
-    return Status::Usage("'" + text + "' is no bound; give a number or NAME=NUMBER, such as nrmse=0.2");
+    return Status::Usage("'" + text + "' is not a bound; give a number or NAME=NUMBER, such as nrmse=0.2");
   return bound;
 }
 
@@ -235,7 +235,7 @@ int RunSql(const CommonFlags& common, const QueryFlags& flags) {
     // The limit of time is looked at between the steps of SQLite's machine; a step may take its time.
     const Watchdog watchdog(limits.time + std::chrono::seconds(1),
                             "stratalux-db: stopped after " + std::to_string(limits.time.count()) +
-                                " ms within one function; ask for less, or of shorter values");
+                                " ms inside one SQL function; ask for less, or for shorter values");
     return index->Run(statement, {{"now_ns", WallNow().ns}}, limits);
   };
   const auto table = run();
@@ -250,13 +250,13 @@ int RunSql(const CommonFlags& common, const QueryFlags& flags) {
 void AddSpan(CLI::App* command, QueryFlags& flags) {
   command->add_option("--since", flags.since,
                       "started at or after: 2026-11-21, 2026-11-21T18:00 (UTC), or 12h, 7d ago");
-  command->add_option("--until", flags.until, "started before");
+  command->add_option("--until", flags.until, "started before this time");
   command->add_option("--now", flags.now, "count ages from this moment (default: now)");
 }
 
 void AddOutput(CLI::App* command, QueryFlags& flags) {
   command->add_flag("--csv", flags.csv, "print CSV (RFC 4180)");
-  command->add_option("--limit", flags.limit, "this many rows at most");
+  command->add_option("--limit", flags.limit, "print at most this many rows");
 }
 
 void AddList(Commands& commands, const std::shared_ptr<QueryFlags>& flags) {
@@ -299,7 +299,7 @@ void AddQueryCommands(Commands& commands) {
                                  [&common, flags] { return RunNamed(common, *flags); });
   query->add_option("NAME", flags->name, "name of the query");
   query->add_flag("--list", flags->list, "list the queries and the flags each one takes");
-  query->add_flag("--sql", flags->show_sql, "print the query's SQL, which says what its columns mean");
+  query->add_flag("--sql", flags->show_sql, "print the query's SQL, whose comments explain the columns");
   AddSpan(query, *flags);
   query->add_option("--rig", flags->rigs, "this rig only");
   query->add_option("--kind", flags->kinds, "findings of this kind only, such as moved");
@@ -321,7 +321,7 @@ void AddQueryCommands(Commands& commands) {
   stratalux-db sql "SELECT rig, count(*) FROM sessions GROUP BY rig"
   stratalux-db sql "SELECT name, sql FROM sqlite_schema WHERE type = 'view'"
   stratalux-db query retakes --sql | stratalux-db sql - --json
-Without --limit at most 10000 rows are printed; more of them: exit code 3. A statement that writes: exit code 2.)");
+Without --limit at most 10000 rows are printed; exit code 3 if there are more. Exit code 2: the statement writes.)");
 }
 
 }  // namespace stratalux::db

@@ -150,8 +150,8 @@ int RunServe(const CommonFlags& common, const ServeFlags& flags) {
   auto server = http::Server::Start(std::move(options), RoutesOf(site), logger);
   if (!server.ok()) return Report(server.status());
   if (!http::IsLoopback(flags.address))
-    logger.Warning("whoever reaches " + server->url() +
-                   " and has the token sees this store; what is sent is not"
+    logger.Warning("anyone who reaches " + server->url() +
+                   " and has the token can see this store; the connection is not"
                    " encrypted: put a reverse proxy with TLS in front (docs/operators-guide.md)");
   if (const int printed = Announce(common, flags, *server, access->token); printed != 0) return printed;
   std::optional<LinkPage> page;
@@ -172,7 +172,7 @@ void AddServeCommand(Commands& commands) {
   CLI::App* serve = commands.Add("serve", "Show the store in a browser, read-only, until Ctrl-C",
                                  [&common, flags] { return RunServe(common, *flags); });
   serve->add_option("--port", flags->port, "port (default: any free one)")->check(CLI::Range(0, 65535));
-  serve->add_option("--address", flags->address, "IPv4 or IPv6 address (default: 127.0.0.1, this machine alone)");
+  serve->add_option("--address", flags->address, "IPv4 or IPv6 address (default: 127.0.0.1, this machine only)");
   serve->add_option("--token-file", flags->token_file,
                     "file whose first line is the token (default: a link that works once)");
   serve->add_flag("--no-open", flags->no_open, "do not open a browser");

@@ -27,10 +27,10 @@ constexpr const char* kExamples = R"(Examples:
   stratalux-db consent give --visitor v-5f3a91c2 --text-version 2026-03 --language de --scope fit,research
   stratalux-db forget s000017 --dry-run
   stratalux-db serve --store store
-Each command has more of its own: stratalux-db forget --help
+Each command has examples of its own: stratalux-db forget --help
 
 SESSION is an id, a unique prefix of one, or 'latest'. Without --store, $STRATALUX_STORE names the store.
-Exit codes: 0 ok, 1 failed, 2 usage, 3 partial, 4 not found, 5 store busy, 6 damaged, 7 store of a newer program.)";
+Exit codes: 0 ok, 1 failed, 2 usage, 3 partial, 4 not found, 5 store busy, 6 damaged, 7 store of a newer version.)";
 
 int Main(int argc, char** argv) {
   CLI::App app("Stratalux's session store: list, show, verify and import sessions");

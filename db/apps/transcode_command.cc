@@ -93,12 +93,14 @@ int RunTranscode(const CommonFlags& common, const TranscodeFlags& flags) {
 void AddTranscodeCommand(Commands& commands) {
   const auto flags = std::make_shared<TranscodeFlags>();
   const CommonFlags& common = commands.flags();
-  CLI::App* transcode = commands.Add("transcode", "Code the frames of finished sessions anew; pixels stay as they are",
-                                     [&common, flags] { return RunTranscode(common, *flags); });
+  CLI::App* transcode =
+      commands.Add("transcode", "Encode the frames of finished sessions again; the pixels do not change",
+                   [&common, flags] { return RunTranscode(common, *flags); });
   transcode->footer(Examples({"transcode latest --codec delta", "transcode --all --codec raw12"},
                              "Exit code 3: some sessions of --all could not be transcoded; encrypted ones never can."));
   transcode->add_option("SESSION", flags->session, "id, unique prefix, or latest");
-  transcode->add_flag("--all", flags->all, "all sessions; those that cannot be transcoded are named and left alone");
+  transcode->add_flag("--all", flags->all,
+                      "all sessions; those that cannot be transcoded are listed and left unchanged");
   transcode->add_option("--codec", flags->codec, "delta (less than half the bytes) or raw12 (packed)")->required();
 }
 

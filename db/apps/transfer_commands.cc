@@ -50,7 +50,7 @@ int RunExport(const CommonFlags& common, const TransferFlags& flags) {
   if (!flags.crate_export.crate.empty()) return RunCrateExport(common, flags.sessions, flags.crate_export);
   if (flags.sessions.empty() == flags.visitor.empty())
     return Report(Status::Usage("export needs either SESSION or --visitor"));
-  if (flags.sessions.size() > 1) return Report(Status::Usage("several sessions are exported with --crate only"));
+  if (flags.sessions.size() > 1) return Report(Status::Usage("several sessions can be exported only with --crate"));
   if (flags.out.empty()) return Report(Status::Usage("export needs --out DIR, or --crate DIR for an RO-Crate"));
   ExportOptions options{
       flags.out, flags.format == "tiff" ? ExportFormat::kTiff : ExportFormat::kPng, {}, flags.projector};
@@ -128,7 +128,7 @@ int RunBackup(const CommonFlags& common, const TransferFlags& flags) {
                            std::to_string(report->files_kept + report->files_continued) + " unchanged, " +
                            std::to_string(report->files_removed) + " removed, " + std::to_string(report->files_reread) +
                            " copies reread\n" + Lines("still being written, left out", report->left_out) +
-                           Lines("rotten copy made again", report->mended) + Lines("problem", report->problems);
+                           Lines("damaged copy replaced", report->mended) + Lines("problem", report->problems);
   return Ending(Print(common.json ? TextOf(json) : text), report->problems);
 }
 
@@ -157,8 +157,8 @@ std::string PullText(const PullReport& report, bool dry_run) {
   for (const std::string& id : report.sessions) text += "  " + id + "\n";
   if (report.withdrawals != 0)
     text += "  " + std::to_string(report.withdrawals) + " consents withdrawn, as the source's ledger says\n";
-  if (report.keys != 0) text += "  " + std::to_string(report.keys) + " sealed keys of sessions that were here\n";
-  return text + Lines("fit", report.fits) + Lines("forgotten as at the source", report.obeyed) +
+  if (report.keys != 0) text += "  " + std::to_string(report.keys) + " sealed keys of sessions that were here before\n";
+  return text + Lines("fit", report.fits) + Lines("forgotten here, as at the source", report.obeyed) +
          Lines("wiped", report.wiped) + Lines("note", report.notes) + Lines("problem", report.problems);
 }
 
@@ -224,7 +224,7 @@ void AddTransferCommands(Commands& commands) {
                    [&common, flags] { return RunImport(common, *flags); });
   import->footer(Examples({"import --manifest procam_gray_kamino.toml --root captures --pose 2",
                            "import --manifest export/import.toml", "import --crate crate"},
-                          "A manifest has 16 MiB at most, a picture 1 GiB and 268435456 pixels."));
+                          "A manifest may have at most 16 MiB, a picture at most 1 GiB and 268435456 pixels."));
   CLI::Option* manifest = import->add_option("--manifest", flags->manifest, "TOML file (docs/file-formats.md)");
   import->add_option("--crate", flags->crate, "an RO-Crate that `export --crate` wrote")->excludes(manifest);
   import->add_option("--root", flags->root, "folder of the image files (default: the manifest's)");
@@ -239,7 +239,7 @@ void AddTransferCommands(Commands& commands) {
   exported->add_option("SESSION", flags->sessions, "id, unique prefix, or latest; several with --crate");
   const std::vector<CLI::Option*> plain = {
       exported->add_option("--visitor", flags->visitor, "all sessions, consents and fits of this pseudonym"),
-      exported->add_option("--out", flags->out, "a new folder, or that of an interrupted export"),
+      exported->add_option("--out", flags->out, "a new folder, or the folder of an interrupted export"),
       exported->add_option("--format", flags->format, "png or tiff")->check(CLI::IsMember({"png", "tiff"})),
       exported->add_option("--phase", flags->phase, "this phase only"),
       exported->add_option("--projector", flags->projector, "this projector only")};
@@ -248,24 +248,25 @@ void AddTransferCommands(Commands& commands) {
   CLI::App* reindex = commands.Add("reindex", "Build the index again from segments, manifests, fits and ledger",
                                    [&common] { return RunReindex(common); });
   reindex->footer(Examples({"reindex", "reindex --json"}));
-  CLI::App* backup = commands.Add("backup", "Copy what is new to a backup; while sessions are written, too",
+  CLI::App* backup = commands.Add("backup", "Copy what is new to a backup, even while sessions are being written",
                                   [&common, flags] { return RunBackup(common, *flags); });
   backup->footer(Examples({"backup --to /media/disk/store-backup",
                            "backup --to /media/disk/store-backup --keys /media/stick/keys.sqlite"}));
-  backup->add_option("--to", flags->to, "a folder of its own, best on another disk")->required();
-  backup->add_option("--keys", flags->keys, "copy keys.sqlite to this file, apart from the backup");
+  backup->add_option("--to", flags->to, "a separate folder, preferably on another disk")->required();
+  backup->add_option("--keys", flags->keys, "copy keys.sqlite to this file, separate from the backup");
   backup
       ->add_option("--scrub", flags->scrub,
-                   "copies of earlier backups to reread: turn (an eighth, the longest unread; default) or all")
+                   "copies of earlier backups to read again: turn (the eighth unread for longest; default) or all")
       ->check(CLI::IsMember({"turn", "all"}));
-  CLI::App* restore = commands.Add("restore", "Make a store from a backup, every file checked against its hash",
+  CLI::App* restore = commands.Add("restore", "Make a store from a backup, checking every file against its hash",
                                    [&common, flags] { return RunRestore(common, *flags); });
   restore->footer(Examples({"restore --from /media/disk/store-backup --store new-store --ledger store",
                             "restore --from /media/disk/store-backup --merge"}));
   restore->add_option("--from", flags->from, "folder of the backup")->required();
   restore->add_flag("--merge", flags->merge, "into an existing store: adds the sessions that it lacks");
-  restore->add_option("--ledger", flags->ledger,
-                      "a new store needs it: the newest ledger (a store, its ledger folder, another backup), or none");
+  restore->add_option(
+      "--ledger", flags->ledger,
+      "required for a new store: the newest ledger (a store, its ledger folder, another backup), or none");
   CLI::App* pull = commands.Add("pull", "Fetch the finished sessions of rigs over rsync and ssh",
                                 [&common, flags] { return RunPull(common, *flags); });
   pull->footer(
@@ -273,16 +274,17 @@ void AddTransferCommands(Commands& commands) {
                 "pull --store archive --from kiosk@rig-1:/var/lib/stratalux/store --dry-run",
                 "pull --from kiosk@rig-1:/var/lib/stratalux/store --obey",
                 "pull --from kiosk@rig-1:store kiosk@rig-2:store --limit 40"},
-               "Exit code 3: something did not come, or one of several sources failed; 75: --limit was over."));
+               "Exit code 3: something was not fetched, or one of several sources failed; 75: --limit ran out."));
   pull->add_option("--from", flags->sources,
-                   "user@host:/path/of/store, or a local path; several are pulled side by side")
+                   "user@host:/path/of/store, or a local path; several are pulled in parallel")
       ->required()
       ->expected(1, -1);
-  pull->add_flag("--dry-run", flags->dry_run, "say what would come");
-  pull->add_flag("--obey", flags->obey, "forget what is here and was forgotten at the source");
-  pull->add_option("--timeout", flags->timeout_s, "seconds without a byte after which the source counts as gone")
+  pull->add_flag("--dry-run", flags->dry_run, "show what would be fetched");
+  pull->add_flag("--obey", flags->obey, "forget what is still here but was forgotten at the source");
+  pull->add_option("--timeout", flags->timeout_s, "give up on a source after this many seconds without data")
       ->check(CLI::Range(1, 86400));
-  pull->add_option("--limit", flags->limit_min, "minutes for each source; the next pull goes on (default: none)")
+  pull->add_option("--limit", flags->limit_min,
+                   "time limit for each source, minutes; the next pull continues (default: none)")
       ->check(CLI::Range(1, 10080));
 }
 

@@ -147,10 +147,9 @@ void AddViewCommands(Commands& commands) {
   const CommonFlags& common = commands.flags();
   CLI::App* init =
       commands.Add("init", "Make a store; leaves an existing one as it is", [&common] { return RunInit(common); });
-  init->footer(
-      Examples({"init --store store"},
-               "The folder is new, empty or a store; of other things only lost+found, .Trash*, .nfs*, .snapshot,\n"
-               ".snapshots and .zfs may lie there."));
+  init->footer(Examples({"init --store store"},
+                        "The folder must be new, empty or a store; other than that, only lost+found, .Trash*, .nfs*,\n"
+                        ".snapshot, .snapshots and .zfs may lie in it."));
   CLI::App* show = commands.Add("show", "Show one session", [&common, flags] { return RunShow(common, *flags); });
   CLI::App* frames = commands.Add("frames", "List the frames of a session with their proof; extract them as PNG",
                                   [&common, flags] { return RunFrames(common, *flags); });
@@ -166,7 +165,7 @@ void AddViewCommands(Commands& commands) {
   frames->add_option("SESSION", flags->session, "id, unique prefix, or latest")->required();
   verify->add_option("SESSION", flags->session, "id, unique prefix, or latest (default: all, and the store itself)");
   verify->add_flag("--deep", flags->deep,
-                   "decode every frame, too: its pixel hash, complementary patterns, signature; open sealed files");
+                   "also decode every frame: check pixel hash, complementary patterns, signature; open sealed files");
   verify->add_option("--public-key", flags->public_key,
                      "each session must be signed by this key: 64 hex digits, or a file that holds them");
   frames->add_option("--phase", flags->phase, "this phase only: preroll, reference, correspondence, separation, ...");

@@ -83,10 +83,11 @@ Result<MemoryFolder> MemoryFolder::Create(const std::vector<fs::path>& roots) {
   for (const fs::path& root : roots)
     if (RoomOf(root) > 0 && access(root.c_str(), W_OK | X_OK) == 0) usable.push_back(root);
   if (usable.empty())
-    return Status::Failed("nowhere to keep files in memory: none of " + Listed(roots) +
-                          " is a tmpfs or ramfs with room that this account may write to, and what is plain of an "
-                          "encrypted session is not written to a disk; mount one (mount -t tmpfs -o size=4G tmpfs "
-                          "/dev/shm) or name one by XDG_RUNTIME_DIR");
+    return Status::Failed(
+        "no place to keep files in memory: none of " + Listed(roots) +
+        " is a tmpfs or ramfs with free space that this account may write to, and decrypted files of an "
+        "encrypted session are not written to a disk; mount one (mount -t tmpfs -o size=4G tmpfs "
+        "/dev/shm) or name one in XDG_RUNTIME_DIR");
   const fs::path root = *std::max_element(usable.begin(), usable.end(),
                                           [](const fs::path& a, const fs::path& b) { return RoomOf(a) < RoomOf(b); });
   std::random_device random;
@@ -114,9 +115,9 @@ Status MemoryFolder::Explained(const Status& failure) const {
   if (failure.ok() || RoomOf(path_) >= kFullBytes) return failure;
   const std::string root = path_.parent_path().string();
   return Status(failure.code(), failure.message() + "; the memory behind " + root +
-                                    " is full, in which the plain files of an encrypted session lie: give it more "
+                                    " is full; it holds the decrypted files of an encrypted session: enlarge it "
                                     "(mount -o remount,size=SIZE " +
-                                    root + "), or end what else lies there");
+                                    root + "), or remove what else is there");
 }
 
 }  // namespace stratalux::db

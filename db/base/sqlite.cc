@@ -42,10 +42,10 @@ Status Connection::Error(const std::string& what) const {
     return Status::Failed(message + "; its disk is mounted read-only, or its permissions forbid writing");
   if (code == SQLITE_CANTOPEN)
     return Status::Failed(message +
-                          "; it or its -wal can be neither opened nor made: look at the permissions and the"
+                          "; it or its -wal can be neither opened nor created: check the permissions and the"
                           " free space");
   if (code == SQLITE_FULL || code == SQLITE_IOERR)
-    return Status::Failed(message + "; look at the free space and the health of its disk");
+    return Status::Failed(message + "; check the free space and the health of its disk");
   return Status::Failed(message);
 }
 

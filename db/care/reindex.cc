@@ -131,7 +131,7 @@ void MissFits(SessionIndex& index, RebuiltSession& session) {
     const auto& fits = session.fits;
     if (std::none_of(fits.begin(), fits.end(), [&id](const FitRow& fit) { return fit.id == id; }))
       session.problems.push_back("session " + session.info.id + ": fit " + id +
-                                 " was listed and is not there whole; it is listed no longer");
+                                 " was listed but is missing or incomplete; it is no longer listed");
   }
 }
 
@@ -151,7 +151,7 @@ class Lister {
     const auto known = has_old_index ? KnownFrames(index_, id) : std::vector<KnownFrame>();
     if (known.empty() && NeverBegan(folder, ledger_)) {
       report_.notes.push_back(folder.string() +
-                              " holds no manifest and no frame: a session that never began; not listed");
+                              " has no manifest and no frame: a session that never began; not listed");
       return Status::Ok();
     }
     auto session =

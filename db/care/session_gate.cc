@@ -31,7 +31,7 @@ Status CheckKeys(const RebuiltSession& session) {
 
 Status CheckSession(const RebuiltSession& session) {
   const std::string where = "session " + session.info.id;
-  if (!IsSessionId(session.info.id)) return Status::Integrity("'" + session.info.id + "' is no session id");
+  if (!IsSessionId(session.info.id)) return Status::Integrity("'" + session.info.id + "' is not a session id");
   SLX_RETURN_IF_ERROR(CheckInfo(session.info).WithContext(where));
   for (const auto& [segment, frame] : session.frames)
     SLX_RETURN_IF_ERROR(CheckHeader(frame.header).WithContext(where + ", " + SegmentName(segment)));

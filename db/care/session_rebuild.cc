@@ -105,7 +105,7 @@ class Rebuilder {
       const auto there = DescribeFile(folder_, name);
       if (there.ok() && !listed.hash.empty() && there->bytes == listed.bytes && there->hash == listed.hash) return true;
       if (there.ok() && (there->bytes != listed.bytes || there->hash != listed.hash))
-        session_.problems.push_back(file.string() + " is not the file that the manifest speaks of");
+        session_.problems.push_back(file.string() + " is not the file that the manifest describes");
     }
     return false;
   }
@@ -169,7 +169,7 @@ class Rebuilder {
     const std::string where = "session " + session_.info.id + ": ";
     if (twice > 0)
       session_.problems.push_back(where + std::to_string(twice) +
-                                  " frames are there twice; the first of each was taken");
+                                  " frames are there twice; the first of each was used");
     if (unnamed > 0)
       session_.problems.push_back(where + std::to_string(unnamed) +
                                   " frames were found only in segments that the manifest does not name");

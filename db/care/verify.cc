@@ -102,7 +102,7 @@ void CheckProofs(const SessionRow& session, const std::vector<FrameRow>& frames,
   }
   if (not_kept > 0)
     report.notes.push_back("the driver counted " + std::to_string(not_kept) +
-                           " frames that were not kept: lost, spoilt or not asked for");
+                           " frames that were not kept: lost, spoilt or not requested");
 }
 
 void CheckPairs(const SessionStore& store, const SessionRow& session, const std::vector<FrameRow>& frames,
@@ -124,7 +124,7 @@ void CheckNames(const std::filesystem::path& folder, const std::vector<std::stri
     } else if (name != "manifest.json" && name != "truth.seg" && name != "truth_calibration.json" &&
                name != "place.json" && name != "signature.json" && name != kDamagedManifest && name != "fits" &&
                name != "previews" && name != kArtifactsFolder && !IsSealedKeyName(name)) {
-      report.notes.push_back(entry.path().string() + " is no file of a session");
+      report.notes.push_back(entry.path().string() + " is not a file of a session");
     }
   }
 }
@@ -137,14 +137,14 @@ void CheckFiles(const std::filesystem::path& folder, const ManifestContents& con
   for (const auto& file : contents.files) {
     listed.insert(file.name);
     if (file.name.find('/') != std::string::npos) {
-      report.problems.push_back(manifest + " names '" + file.name + "', which is no file of its folder");
+      report.problems.push_back(manifest + " names '" + file.name + "', which is not a file of its folder");
       continue;
     }
     const auto there = DescribeFile(folder, file.name);
     if (!there.ok())
       report.problems.push_back(there.status().message());
     else if (there->bytes != file.bytes || there->hash != file.hash)
-      report.problems.push_back((folder / file.name).string() + " is not the file that the manifest speaks of (" +
+      report.problems.push_back((folder / file.name).string() + " is not the file that the manifest describes (" +
                                 std::to_string(there->bytes) + " bytes, " + std::to_string(file.bytes) +
                                 " in the manifest)");
   }
@@ -153,14 +153,15 @@ void CheckFiles(const std::filesystem::path& folder, const ManifestContents& con
   for (const char* name : {"truth.seg", "truth_calibration.json"})
     if (std::filesystem::exists(folder / name, error)) wanted.insert(name);
   for (const std::string& name : wanted)
-    if (!listed.contains(name)) report.problems.push_back(manifest + " says nothing of what " + name + " holds");
+    if (!listed.contains(name)) report.problems.push_back(manifest + " does not say what " + name + " holds");
 }
 
 void CheckManifest(const std::filesystem::path& folder, const SessionRow& session, VerifyReport& report) {
   const auto manifest = ReadManifest(folder);
   if (manifest.ok() && manifest->status == SessionStatus::kRecording && session.info.status == SessionStatus::kFailed) {
     // Its disk was full; CompareSession looks at what the index says of it.
-    return report.notes.push_back((folder / "manifest.json").string() + " still speaks of a session being recorded");
+    return report.notes.push_back((folder / "manifest.json").string() +
+                                  " still describes a session that is being recorded");
   }
   if (!manifest.ok()) return report.problems.push_back(manifest.status().message());
   const auto contents = ReadManifestContents(folder);
@@ -171,7 +172,7 @@ void CheckManifest(const std::filesystem::path& folder, const SessionRow& sessio
     report.problems.push_back(file + " says '" + ToString(manifest->status) + "', the index '" +
                               ToString(session.info.status) + "'");
   if (contents->frames != session.frames)
-    report.problems.push_back(file + " speaks of " + std::to_string(contents->frames) + " frames, the index of " +
+    report.problems.push_back(file + " lists " + std::to_string(contents->frames) + " frames, the index lists " +
                               std::to_string(session.frames));
   for (const std::string& name : contents->segments) {
     const bool inside = !name.empty() && name.find('/') == std::string::npos;
@@ -217,7 +218,7 @@ void CheckSigner(const std::filesystem::path& folder, const SessionRow& session,
   report.problems.push_back("session " + session.info.id +
                             (found.signed_by ? " is signed with another key, " + Fingerprint(*found.signed_by)
                                              : std::string(" is not signed")) +
-                            ": key " + Fingerprint(*options.signed_by) + " was asked for");
+                            ": key " + Fingerprint(*options.signed_by) + " was required");
 }
 
 // Segments of a transcode under way or interrupted that the index does not name (or names no longer).

@@ -43,9 +43,9 @@ class PayloadChecker {
     if (!sized || header.format != static_cast<uint16_t>(PixelFormat::kF32) ||
         payload.size() / sizeof(float) / static_cast<uint64_t>(header.channels) != samples ||
         payload.size() % (sizeof(float) * static_cast<uint64_t>(header.channels)) != 0)
-      return Status::Integrity("the payload has not the size that its header says");
+      return Status::Integrity("the payload does not have the size that its header states");
     if (HasPixelHash(header) && HashPixels(payload, key) != PixelHashOf(header))
-      return Status::Integrity("the map is not what its pixel hash says");
+      return Status::Integrity("the map does not match its pixel hash");
     return Status::Ok();
   }
 

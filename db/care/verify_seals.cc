@@ -121,9 +121,10 @@ void CheckSealedKeys(const SessionStore& store, const SessionRow& session, Verif
   }
   for (const fs::path& file : files)
     if (std::find(wanted.begin(), wanted.end(), file) == wanted.end())
-      report.problems.push_back(file.string() +
-                                " is sealed to somebody who is no reader of this store: `stratalux-db key unshare` with"
-                                " the id in its name removes it");
+      report.problems.push_back(
+          file.string() +
+          " is sealed to someone who is not a reader of this store: `stratalux-db key unshare` with"
+          " the id in its name removes it");
 }
 
 }  // namespace stratalux::db

@@ -90,18 +90,19 @@ void CheckFolders(const SessionStore& store, const std::set<std::string>& known,
   std::error_code error;
   for (const auto& entry : fs::directory_iterator(store.folder(), error))
     if (!IsOurs(entry.path().filename().string()))
-      report.notes.push_back(entry.path().string() + " is no file of a store");
+      report.notes.push_back(entry.path().string() + " is not a file of a store");
   for (const auto& entry : fs::directory_iterator(ForgettingFolder(store.folder()), error))
-    report.problems.push_back(entry.path().string() +
-                              " is of a session whose forgetting was broken off, or goes on: `stratalux-db forget"
-                              " --resume`");
+    report.problems.push_back(
+        entry.path().string() +
+        " belongs to a session whose forgetting was interrupted or is still running: `stratalux-db forget"
+        " --resume`");
   for (const auto& entry : fs::directory_iterator(store.folder() / "sessions", error)) {
     const std::string id = entry.path().filename().string();
     if (ledger.IsForgotten(id)) {
-      report.problems.push_back(entry.path().string() + " is of a session that was forgotten; `stratalux-db forget " +
-                                id + "` again");
+      report.problems.push_back(entry.path().string() +
+                                " belongs to a session that was forgotten; `stratalux-db forget " + id + "` again");
     } else if (!known.contains(id) && NeverBegan(entry.path(), ledger)) {
-      report.notes.push_back(entry.path().string() + " holds no manifest and no frame: a session that never began");
+      report.notes.push_back(entry.path().string() + " has no manifest and no frame: a session that never began");
     } else if (!known.contains(id)) {
       report.problems.push_back(entry.path().string() +
                                 " is not in the index: `stratalux-db reindex` lists it, if it is a session");
@@ -115,11 +116,11 @@ void CheckIncoming(const SessionStore& store, const Ledger& ledger, VerifyReport
   for (const IncomingSession& session : ListIncoming(store.folder()))
     for (const fs::path& place : session.places) {
       if (ledger.IsForgotten(session.id)) {
-        report.problems.push_back(place.string() + " is of a session that was forgotten; `stratalux-db forget " +
+        report.problems.push_back(place.string() + " belongs to a session that was forgotten; `stratalux-db forget " +
                                   session.id + "` again, or the next pull, wipes it");
       } else if (!at_work) {
         report.notes.push_back(place.string() +
-                               " was left by a pull or restore that was broken off: the next one goes on or wipes it,"
+                               " was left by an interrupted pull or restore: the next one continues or wipes it,"
                                " and `stratalux-db purge` once it is due");
       }
     }

@@ -118,8 +118,9 @@ Status CheckNewPseudonym(const std::string& visitor) {
   std::random_device random;
   char instead[16];
   std::snprintf(instead, sizeof instead, "v-%08x", random());
-  return Status::Usage("--visitor " + Quoted(visitor) + ": looks like " + like +
-                       ", which must not stand in a store; take a pseudonym that tells nothing, such as " + instead);
+  return Status::Usage(
+      "--visitor " + Quoted(visitor) + ": looks like " + like +
+      ", which must not be kept in a store; use a pseudonym that says nothing about the person, such as " + instead);
 }
 
 Status SetScope(const std::string& text, Consent& consent) {
@@ -148,7 +149,7 @@ std::string ScopeText(const Consent& consent) {
 Status GiveConsent(const std::filesystem::path& store, const std::string& visitor, Consent consent) {
   SLX_RETURN_IF_ERROR(CheckNewPseudonym(visitor));
   if (consent.text_version.empty() || consent.language.empty())
-    return Status::Usage("a consent names the version of the text that was shown and its language");
+    return Status::Usage("a consent must name the version of the text that was shown and its language");
   if (ScopeText(consent).empty()) return SetScope("", consent);
   if (consent.given_wall.ns == 0) consent.given_wall = WallNow();
   SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadWrite));
@@ -162,7 +163,7 @@ Status WithdrawConsent(const std::filesystem::path& store, const std::string& vi
   // No session of the visitor begins meanwhile: its row waits for this transaction.
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
   SLX_ASSIGN_OR_RETURN(const auto held, HeldBy(connection, visitor));
-  if (held.empty()) return Status::NotFound("visitor " + Quoted(visitor) + " has given no consent that holds");
+  if (held.empty()) return Status::NotFound("visitor " + Quoted(visitor) + " has given no consent that is still valid");
   LedgerEntry entry;
   entry.kind = LedgerKind::kWithdrawal;
   entry.at = WallNow();

@@ -42,7 +42,7 @@ Result<FitReader> FitReader::Open(const fs::path& folder, const std::string& ses
   std::error_code error;
   if (!fs::exists(folder / kFitRecordFile, error))
     return Status::Integrity((folder / kFitRecordFile).string() +
-                             " is missing: without it nobody knows what the fit is made of; `stratalux-fit run` fits "
+                             " is missing: without it the files of the fit are not known; `stratalux-fit run` fits "
                              "again");
   SLX_ASSIGN_OR_RETURN(reader.fit_, ReadFitRecord(folder, session_id));
   return reader;

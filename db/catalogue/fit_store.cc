@@ -158,7 +158,7 @@ Status MoveInto(const fs::path& from, const fs::path& to) {
 Result<FitRow> ReadProvenFit(const fs::path& folder, const std::string& session) {
   std::error_code error;
   if (!fs::exists(folder / kFitRecordFile, error))
-    return Status::Integrity(folder.string() + " has no " + kFitRecordFile + ": it is no whole fit");
+    return Status::Integrity(folder.string() + " has no " + kFitRecordFile + ": it is not a complete fit");
   SLX_RETURN_IF_ERROR(CheckFitFiles(folder));
   SLX_ASSIGN_OR_RETURN(FitRow fit, ReadFitRecord(folder, session));
   SLX_ASSIGN_OR_RETURN(const auto calibration, ReadFitCalibration(folder));
@@ -168,7 +168,7 @@ Result<FitRow> ReadProvenFit(const fs::path& folder, const std::string& session)
 
 Status RegisterFit(const fs::path& store, FitRow fit, const RegisterOptions& options) {
   if (!IsName(fit.id) || !IsName(fit.session))
-    return Status::Usage("'" + fit.id + "' of session '" + fit.session + "' is no name of a fit");
+    return Status::Usage("'" + fit.id + "' of session '" + fit.session + "' is not the name of a fit");
   const fs::path folder = FitsOf(store, fit.session) / fit.id;
   const Status allowed = FirstCheck(store, fit.session, options).status();
   if (!allowed.ok() && allowed.code() != StatusCode::kBusy) return AfterRefusal(allowed, store, fit);
@@ -192,7 +192,7 @@ Result<bool> AdoptFit(const fs::path& store, const std::string& session, const f
                       const RegisterOptions& options) {
   const std::string id = fit_folder.filename().string();
   if (!IsName(id) || !IsName(session) || fit_folder.extension() == ".partial")
-    return Status::Usage("'" + id + "' of session '" + session + "' is no name of a fit");
+    return Status::Usage("'" + id + "' of session '" + session + "' is not the name of a fit");
   SLX_RETURN_IF_ERROR(FirstCheck(store, session, options).status());
   SLX_ASSIGN_OR_RETURN(const bool listed, IsListed(store, session, id));
   const fs::path place = FitsOf(store, session) / id;
@@ -218,7 +218,7 @@ Result<bool> AdoptFit(const fs::path& store, const std::string& session, const f
 Status DiscardFit(const fs::path& store, const std::string& session, const fs::path& fit_folder) {
   const fs::path fits = FitsOf(store, session);
   if (!IsName(session) || !IsName(fit_folder.filename().string()) || fit_folder.parent_path() != fits)
-    return Status::Usage(fit_folder.string() + " is no folder of a fit of session " + session);
+    return Status::Usage(fit_folder.string() + " is not the folder of a fit of session " + session);
   std::error_code error;
   fs::remove_all(fit_folder, error);
   if (error) return Status::Failed("cannot delete " + fit_folder.string() + ": " + error.message());

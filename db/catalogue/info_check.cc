@@ -22,7 +22,7 @@ Status CheckInfo(const SessionInfo& info) {
                                    {"consent's time", info.consent.given_wall.ns}})
     if (time < 0) return Status::Integrity(std::string(name) + " " + std::to_string(time) + " ns lies before 1970");
   if (info.attempt < 0 || info.attempt > kMostAttempts)
-    return Status::Integrity("attempt " + std::to_string(info.attempt) + " is none");
+    return Status::Integrity("attempt " + std::to_string(info.attempt) + " is out of range");
   SLX_RETURN_IF_ERROR(CheckFound(info.found));
   if (!info.plan_json.empty()) {
     const auto plan = PlanOptionsFromJson(info.plan_json);
@@ -33,7 +33,7 @@ Status CheckInfo(const SessionInfo& info) {
   }
   if (!info.calibration_json.empty() &&
       !nlohmann::ordered_json::parse(info.calibration_json, nullptr, false).is_object())
-    return Status::Integrity("its calibration is no JSON object");
+    return Status::Integrity("its calibration is not a JSON object");
   return Status::Ok();
 }
 

@@ -69,7 +69,7 @@ Status Check(const JobRequest& request) {
   if (request.max_attempts < 1)
     return Status::Usage("max_attempts " + std::to_string(request.max_attempts) + " must be at least 1");
   if (nlohmann::json::parse(request.options_json, nullptr, false).is_discarded())
-    return Status::Usage("options of job '" + request.key + "' are no JSON: " + request.options_json);
+    return Status::Usage("options of job '" + request.key + "' are not JSON: " + request.options_json);
   return Status::Ok();
 }
 
@@ -87,7 +87,7 @@ Result<std::optional<int64_t>> HolderOf(Connection& connection, int64_t token) {
 }
 
 Status Outdated(Connection& connection, int64_t token) {
-  std::string why = "its job was leased again, or is gone with its session";
+  std::string why = "its job was leased again, or was deleted with its session";
   SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT id, state FROM jobs WHERE fence = ?1"));
   SLX_ASSIGN_OR_RETURN(const bool known, select.Bind(1, token).Step());
   if (known) why = "job " + std::to_string(select.Integer(0)) + " is " + select.Text(1);
@@ -313,7 +313,7 @@ Status JobStore::Requeue(int64_t id) {
     SLX_ASSIGN_OR_RETURN(const Job job, Find(id));
     if (job.state == JobState::kQueued || job.state == JobState::kRunning)
       return Status::Usage("job " + std::to_string(id) + " is " + ToString(job.state) +
-                           "; only one that has ended begins anew");
+                           "; only a job that has ended can start again");
     return BeginAnew(connection, id);
   });
 }

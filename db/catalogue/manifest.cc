@@ -53,7 +53,7 @@ Status CheckHash(const Json& json, const std::string& text) {
   if (hash == OwnHash::kRight) return Status::Ok();
   const Json& schema = json.at("schema");
   if (hash == OwnHash::kNone && schema.is_number_integer() && schema < 3) return Status::Ok();
-  return Status::Integrity("is not what its own hash says; restore it from a copy");
+  return Status::Integrity("does not match its own hash; restore it from a copy");
 }
 
 Json JsonOf(const Consent& consent) {
@@ -120,14 +120,15 @@ Status CheckTypes(const Json& json) {
       {"frames", is_count(value("frames"))},
       {"segments", is_texts(value("segments"))}};
   for (const Field& field : fields)
-    if (!field.fits) return Status::Integrity(std::string("'") + field.key + "' is not what a manifest holds there");
+    if (!field.fits)
+      return Status::Integrity(std::string("'") + field.key + "' has a value that a manifest cannot have there");
   return Status::Ok();
 }
 
 Status CheckSchema(const Json& json) {
   if (!json.is_object()) return Status::Integrity("not a JSON object");
   const Json& schema = json.at("schema");
-  if (!schema.is_number_unsigned()) return Status::Integrity("'schema' is no number");
+  if (!schema.is_number_unsigned()) return Status::Integrity("'schema' is not a number");
   if (schema.get<uint64_t>() <= kManifestSchema) return Status::Ok();
   return Status(StatusCode::kNewerSchema,
                 "schema " + schema.dump() + " is newer than this program (" + std::to_string(kManifestSchema) + ")");
@@ -225,19 +226,19 @@ std::string DevicesToJson(const SessionDevices& devices) {
 
 Result<SessionDevices> DevicesFromJson(const std::string& text) {
   const Json json = Json::parse(text, nullptr, false);
-  if (!json.is_object()) return Status::Integrity("'devices' is not what a manifest holds there");
+  if (!json.is_object()) return Status::Integrity("'devices' has a value that a manifest cannot have there");
   SessionDevices devices;
   for (const auto& [key, value] : SizesOf(devices)) {
     if (!json.contains(key)) continue;
     const Json& size = json.at(key);
     if (!size.is_number_unsigned() || size.get<uint64_t>() < 1 || size.get<uint64_t>() > kMostDevicePx)
-      return Status::Integrity(std::string("devices: ") + key + " is no number of pixels");
+      return Status::Integrity(std::string("devices: ") + key + " is not a number of pixels");
     size.get_to(*value);
   }
   if (!json.contains(kSaturation)) return devices;
   const Json& level = json.at(kSaturation);
   if (!level.is_number() || !(level.get<double>() > 0.0) || level.get<double>() > FullScaleDn(PixelFormat::kMono16))
-    return Status::Integrity("devices: saturation_dn is no raw level");
+    return Status::Integrity("devices: saturation_dn is not a raw level");
   level.get_to(devices.saturation_dn);
   return devices;
 }

@@ -135,7 +135,7 @@ struct ReadOnlyIndex::Impl {
 Status ReadOnlyIndex::Impl::ErrorOf(int code, const QueryLimits& limits) const {
   if (guard.out_of_time)
     return Status::Failed("stopped after " + std::to_string(limits.time.count()) +
-                          " ms without an end; ask for less (a WHERE, a --since) or give it more time");
+                          " ms without finishing; ask for less (a WHERE, a --since) or give it more time");
   switch (code & 0xff) {
     case SQLITE_AUTH:
       return Status::Usage("this only reads: " + (guard.refused.empty() ? "that statement" : guard.refused) +
@@ -161,7 +161,7 @@ Status ReadOnlyIndex::Impl::ErrorOf(int code, const QueryLimits& limits) const {
 Result<StatementHandle> ReadOnlyIndex::Impl::Prepare(const std::string& sql, const QueryLimits& limits) {
   sqlite3_stmt* raw = nullptr;
   const char* tail = nullptr;
-  if (sql.find('\0') != std::string::npos) return Status::Usage("SQL: a statement holds no zero byte");
+  if (sql.find('\0') != std::string::npos) return Status::Usage("SQL: a statement must not contain a zero byte");
   int code = sqlite3_prepare_v2(connection.handle(), sql.c_str(), -1, &raw, &tail);
   StatementHandle statement(raw);
   if (code != SQLITE_OK) return ErrorOf(code, limits);

@@ -59,7 +59,7 @@ Status CheckRecordedFile(const fs::path& folder, const std::string& record, cons
                          FileDepth depth) {
   const auto& [name, bytes, hash] = listed;
   if (!StaysInside(name))
-    return Status::Integrity((folder / record).string() + ": '" + name + "' is no file of its folder");
+    return Status::Integrity((folder / record).string() + ": '" + name + "' is not a file of its folder");
   const fs::path file = folder / name;
   std::error_code error;
   fs::path at = folder;  // no part of the name may be a link: it could lead out of the folder
@@ -68,7 +68,7 @@ Status CheckRecordedFile(const fs::path& folder, const std::string& record, cons
     const auto type = fs::symlink_status(at, error).type();
     if (type == fs::file_type::not_found) return Status::Integrity(file.string() + " is missing");
     if (type != fs::file_type::directory && type != fs::file_type::regular)
-      return Status::Integrity(at.string() + " is a link or no regular file");
+      return Status::Integrity(at.string() + " is a link or not a regular file");
   }
   const auto size = fs::file_size(file, error);
   if (error || static_cast<int64_t>(size) != bytes)

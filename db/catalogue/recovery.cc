@@ -49,7 +49,7 @@ void Examine(const fs::path& file, int64_t acknowledged, Trust trust, Findings& 
   const std::string name = file.filename().string();
   std::error_code error;
   if (!fs::is_regular_file(fs::symlink_status(file, error)))
-    return found.notes.push_back(name + " is no regular file and was left as it is");
+    return found.notes.push_back(name + " is not a regular file and was left as it is");
   const auto size = static_cast<int64_t>(fs::file_size(file, error));
   const auto reader = SegmentReader::Open(file);
   // A footer is written once all frames before it are acknowledged: nothing of the file is to be cut.
@@ -185,7 +185,7 @@ Result<RecoveryNotes> RecoverSessions(SessionIndex& index, const fs::path& store
   for (const SessionRow& session : sessions)
     if (const Status ended = RecoverOne(index, store, session, notes); !ended.ok())
       notes.push_back("session " + session.info.id +
-                      ": could not be ended, the next opening tries again: " + ended.message());
+                      ": could not be ended, the next program that opens the store tries again: " + ended.message());
   return notes;
 }
 

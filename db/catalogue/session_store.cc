@@ -406,7 +406,8 @@ Result<Image<uint16_t>> SessionStore::Impl::ReadFrame(const std::string& id, con
   stored.resize(header.payload_bytes);
   if (header.cipher == 0) {
     SLX_ASSIGN_OR_RETURN(const bool encrypted, index.IsEncrypted(id));
-    if (encrypted) return Status::Integrity(where + ": a plain frame in an encrypted session was put there by another");
+    if (encrypted)
+      return Status::Integrity(where + ": a plain frame in an encrypted session was put there by someone else");
   }
   SLX_ASSIGN_OR_RETURN(const auto bytes,
                        opener.Open(reader.session_id(), header, std::move(stored)).WithContext(where));

@@ -37,7 +37,8 @@ struct Frames {
 Result<Frames> FindFrames(const fs::path& folder, const std::vector<std::string>& segments) {
   Frames frames;
   for (const std::string& name : segments) {
-    if (name.empty() || name.find('/') != std::string::npos) return Status::Integrity("'" + name + "' is no segment");
+    if (name.empty() || name.find('/') != std::string::npos)
+      return Status::Integrity("'" + name + "' is not a segment");
     SLX_ASSIGN_OR_RETURN(auto reader, SegmentReader::Open(folder / name));
     bool sealed = false;
     SLX_ASSIGN_OR_RETURN(const auto found, reader.Walk(false, &sealed));
@@ -140,11 +141,13 @@ Status TakeHex(const Json& json, std::span<uint8_t> bytes) { return FromHex(json
 
 Result<SessionSignature> SignatureFrom(const Json& json) {
   const Json& schema = json.at("schema");
-  if (!schema.is_number_integer() || schema < 1) return Status::Integrity("schema " + schema.dump() + " never was");
+  if (!schema.is_number_integer() || schema < 1)
+    return Status::Integrity("schema " + schema.dump() + " does not exist");
   if (schema > kSignatureSchema)
     return Status(StatusCode::kNewerSchema, "schema " + schema.dump() + " is newer than this program's");
   if (json.at("algorithm") != kAlgorithm)
-    return Status(StatusCode::kNewerSchema, "algorithm " + json.at("algorithm").dump() + " is not known here");
+    return Status(StatusCode::kNewerSchema,
+                  "algorithm " + json.at("algorithm").dump() + " is not known to this program");
   SessionSignature s;
   json.at("session").get_to(s.session);
   SLX_RETURN_IF_ERROR(TakeHex(json.at("public_key"), s.public_key));
@@ -165,7 +168,7 @@ void CheckFiles(const fs::path& folder, const SessionSignature& signature, Signa
     if (signed_one == signature.files.end())
       report.problems.push_back((folder / name).string() + " is not among the files that were signed");
     else if (there == files->end())
-      report.problems.push_back((folder / name).string() + " was signed and is gone");
+      report.problems.push_back((folder / name).string() + " was signed but is missing");
     else if (there->second != signed_one->second)
       report.problems.push_back((folder / name).string() + " is not the file that was signed");
   }
@@ -237,7 +240,7 @@ SignatureReport CheckSignature(const fs::path& folder, SignatureDepth depth) {
     return fail(file + " signs " + std::to_string(s.frames.size()) + " frames, " +
                 std::to_string(frames->places.size()) + " are there");
   if (!IsSignedBy(MessageOf(s.session, *manifest, *frames, s.frames, s.files), s.signature, s.public_key))
-    fail(file + ": the signature is not that of this manifest and these frame headers");
+    fail(file + ": the signature does not match this manifest and these frame headers");
   CheckFiles(folder, s, report);
   if (depth == SignatureDepth::kPixels) CheckSamples(folder, *frames, s, report);
   return report;

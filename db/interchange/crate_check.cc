@@ -47,7 +47,7 @@ class Checker {
 
   Status Check(const SortedJson& document) {
     if (!document.is_object() || !document.contains("@graph") || !document.at("@graph").is_array())
-      return Status::Integrity("no JSON-LD with a flat @graph");
+      return Status::Integrity("not JSON-LD with a flat @graph");
     for (const SortedJson& entity : document.at("@graph")) SLX_RETURN_IF_ERROR(Enter(entity));
     SLX_ASSIGN_OR_RETURN(const std::string root, Root());
     SLX_RETURN_IF_ERROR(CheckParts(root));
@@ -80,7 +80,7 @@ class Checker {
                                                   std::to_string(kNewestRoCrate) + ": update it");
     SLX_ASSIGN_OR_RETURN(const auto about, IdsOf(*descriptor->second, "about"));
     if (about.size() != 1 || !entities_.contains(about[0]) || !HasType(*entities_.at(about[0]), "Dataset"))
-      return Status::Integrity("the descriptor is about no root Dataset");
+      return Status::Integrity("the descriptor does not describe a root Dataset");
     return about[0];
   }
   // Depth first without recursion: a hostile crate may nest as deep as it likes.
@@ -135,7 +135,7 @@ Status CheckCrateMetadata(const std::filesystem::path& file, const CrateFiles& f
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadCrateFile(file, kMetadataLimit));
   SLX_RETURN_IF_ERROR(CheckNesting(text).WithContext(file.string()));
   const SortedJson document = SortedJson::parse(text, nullptr, false);
-  if (document.is_discarded()) return Status::Integrity(file.string() + ": no JSON");
+  if (document.is_discarded()) return Status::Integrity(file.string() + ": not JSON");
   return Checker(files).Check(document).WithContext(file.string());
 }
 

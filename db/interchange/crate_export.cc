@@ -287,7 +287,7 @@ Status CrateOptions::Validate() const {
   const auto plain = [](unsigned char c) { return std::isalnum(c) != 0 || c == '.' || c == '-' || c == '+'; };
   if (licence.size() > 64 || !std::all_of(licence.begin(), licence.end(), plain))
     return Status::Usage("--licence '" + licence.substr(0, 64) +
-                         "' is no identifier of the SPDX list, such as CC-BY-4.0 (https://spdx.org/licenses)");
+                         "' is not an SPDX identifier, such as CC-BY-4.0 (https://spdx.org/licenses)");
   return Status::Ok();
 }
 

@@ -35,7 +35,7 @@ Result<std::pair<UniqueFd, int64_t>> OpenOrdinary(const fs::path& file) {
     return Status::Failed("cannot open " + file.string() + ": " + std::strerror(errno));
   }
   if (fstat(fd.get(), &info) != 0) return Status::Failed("cannot read " + file.string() + ": " + std::strerror(errno));
-  if (!S_ISREG(info.st_mode)) return Status::Integrity(file.string() + " is no ordinary file");
+  if (!S_ISREG(info.st_mode)) return Status::Integrity(file.string() + " is not an ordinary file");
   return std::pair(std::move(fd), int64_t{info.st_size});
 }
 
@@ -149,7 +149,7 @@ Result<std::string> ReadCrateFile(const fs::path& file, int64_t limit) {
   SLX_ASSIGN_OR_RETURN(const auto opened, OpenOrdinary(file));
   if (opened.second > limit)
     return Status::Integrity(file.string() + " has " + std::to_string(opened.second) + " bytes; at most " +
-                             std::to_string(limit) + " make sense");
+                             std::to_string(limit) + " are allowed");
   std::string text(static_cast<size_t>(opened.second), '\0');
   size_t at = 0;
   while (at < text.size()) {
@@ -172,17 +172,18 @@ Result<CrateFiles> ListCrateFiles(const fs::path& crate) {
   CrateFiles files;
   std::error_code error;
   if (!fs::is_directory(fs::symlink_status(crate, error)) && !fs::is_directory(crate, error))
-    return Status::NotFound(crate.string() + " is no folder");
+    return Status::NotFound(crate.string() + " is not a folder");
   auto entry = fs::recursive_directory_iterator(crate, error);
   for (; !error && entry != fs::recursive_directory_iterator(); entry.increment(error)) {
     const fs::file_status status = entry->symlink_status(error);
     const std::string name = entry->path().lexically_relative(crate).string();
     if (fs::is_symlink(status))
       return Status::Integrity(entry->path().string() + " is a symbolic link; a crate holds ordinary files");
-    if (!IsCratePath(name)) return Status::Integrity(crate.string() + ": '" + name + "' is no name for a crate's file");
-    if (entry.depth() > 32) return Status::Integrity(entry->path().string() + " lies too deep");
+    if (!IsCratePath(name))
+      return Status::Integrity(crate.string() + ": '" + name + "' is not a valid name for a file of a crate");
+    if (entry.depth() > 32) return Status::Integrity(entry->path().string() + " is nested too deeply");
     if (fs::is_directory(status)) continue;
-    if (!fs::is_regular_file(status)) return Status::Integrity(entry->path().string() + " is no ordinary file");
+    if (!fs::is_regular_file(status)) return Status::Integrity(entry->path().string() + " is not an ordinary file");
     if (name == kCrateManifestFile || IsOurMark(name)) continue;
     files[name].bytes = static_cast<int64_t>(entry->file_size(error));
   }
@@ -206,7 +207,7 @@ Result<CrateFiles> ReadCrateManifest(const fs::path& crate, const CrateFiles& pr
     const auto there = present.find(path);
     if (there == present.end()) return Status::Integrity(where + ": " + path + " is missing from the crate");
     if (!listed.emplace(path, CrateChecksum{there->second.bytes, std::string(line.substr(0, 64))}).second)
-      return Status::Integrity(where + ": " + path + " stands there twice");
+      return Status::Integrity(where + ": " + path + " is listed twice");
   }
   for (const auto& [path, sum] : present)
     if (!listed.contains(path)) return Status::Integrity((crate / path).string() + " is not in " + kCrateManifestFile);

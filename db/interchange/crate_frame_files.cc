@@ -73,21 +73,21 @@ Result<Image<uint16_t>> ReadCrateFrame(const std::filesystem::path& file, const 
   const uintmax_t samples = uintmax_t{size.width} * size.height * static_cast<uintmax_t>(r.channels);
   // Deflate's own limit is some thousand to one: a header of few bytes cannot ask for memory beyond that.
   if (error || bytes > 4 * samples + (1U << 20) || samples * 2 / 4096 > bytes)
-    return wrong("has " + std::to_string(bytes) + " bytes, which is no frame of " + row_size);
+    return wrong("has " + std::to_string(bytes) + " bytes, which is not the size of a frame of " + row_size);
   try {
     auto read = ReadImageFile(file);
     if (!read.ok()) return wrong(read.status().message());
     Image<uint16_t>& image = read->image;
     if (image.width() != r.width || image.height() != r.height || image.channels() != r.channels || read->bits != 16)
-      return wrong("is no frame of " + row_size + " with " + std::to_string(r.channels) + " channel(s) of 16 bits");
+      return wrong("is not a frame of " + row_size + " with " + std::to_string(r.channels) + " channel(s) of 16 bits");
     const unsigned top = (1U << BitDepth(r.format)) - 1U;
     if (std::any_of(image.pixels().begin(), image.pixels().end(), [top](uint16_t v) { return v > top; }))
-      return wrong("has samples above " + std::to_string(top) + ", the most of its depth");
+      return wrong("has samples above " + std::to_string(top) + ", the highest of its bit depth");
     if (CratePixelHash(r.format, image) != frame.pixel_hash)
-      return wrong("its pixels are not those whose hash frames.csv states");
+      return wrong("its pixels do not match their hash in frames.csv");
     return std::move(image);
   } catch (const std::bad_alloc&) {
-    return wrong("no memory for an image of " + row_size);
+    return wrong("not enough memory for an image of " + row_size);
   }
 }
 

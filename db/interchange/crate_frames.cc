@@ -101,7 +101,7 @@ class CellReader {
     int64_t number = 0;
     const auto parsed = std::from_chars(text.data(), text.data() + text.size(), number);
     if (parsed.ec != std::errc() || parsed.ptr != text.data() + text.size() || number < least || number > most)
-      return Wrong("no whole number from " + std::to_string(least) + " to " + std::to_string(most));
+      return Wrong("not a whole number from " + std::to_string(least) + " to " + std::to_string(most));
     value = static_cast<T>(number);
   }
   void Nanoseconds(int64_t& value) { Integer(value, INT64_MIN, INT64_MAX); }
@@ -109,7 +109,7 @@ class CellReader {
     const std::string& text = cells_[next_++];
     const auto parsed = std::from_chars(text.data(), text.data() + text.size(), value);
     if (parsed.ec != std::errc() || parsed.ptr != text.data() + text.size() || !std::isfinite(value))
-      Wrong("no finite number");
+      Wrong("not a finite number");
   }
   template <typename T, size_t N>
   void Name(T& value, const std::array<const char*, N>& names) {
@@ -142,7 +142,7 @@ Status ReadCells(const std::vector<std::string>& line, CrateFrame& frame) {
   FrameRecord& r = frame.row.record;
   cells.Integer(frame.row.id, 0, INT64_MAX - 1);
   frame.file = cells.Text();
-  if (!IsCratePath(frame.file) || !frame.file.starts_with("frames/")) cells.Wrong("no file in frames/");
+  if (!IsCratePath(frame.file) || !frame.file.starts_with("frames/")) cells.Wrong("not a file in frames/");
   cells.Integer(r.step, INT32_MIN, INT32_MAX);
   cells.Integer(r.projector, INT32_MIN, INT32_MAX);
   if (const auto phase = ParseCapturePhase(cells.Text()); phase.ok())
@@ -182,7 +182,7 @@ Status ReadCells(const std::vector<std::string>& line, CrateFrame& frame) {
   frame.row.codec = cells.Text();
   if (frame.row.codec != "raw8" && frame.row.codec != "raw12" && frame.row.codec != "raw16" &&
       frame.row.codec != "delta")
-    cells.Unknown("is none of raw8, raw12, raw16, delta");
+    cells.Unknown("is not one of raw8, raw12, raw16, delta");
   frame.row.segment = cells.Text();
   frame.row.hash = cells.Text();
   if (!IsHash128(frame.row.hash)) cells.Wrong("not 32 hex digits");
@@ -249,7 +249,7 @@ Result<bool> CrateFrameReader::ReadLine(std::string& line) {
     line += static_cast<char>(c);
     if (line.size() > kLongestLine) return Wrong("a line of more than " + std::to_string(kLongestLine) + " bytes");
   }
-  if (c == std::ifstream::traits_type::eof()) return Wrong("the table breaks off");
+  if (c == std::ifstream::traits_type::eof()) return Wrong("the table is cut off");
   return true;
 }
 

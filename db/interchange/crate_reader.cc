@@ -26,8 +26,8 @@ Status VerifyChecksums(const fs::path& crate, const CrateFiles& listed, Logger& 
   for (const auto& [path, sum] : listed) {
     SLX_ASSIGN_OR_RETURN(const CrateChecksum now, ChecksumOf(crate / path));
     if (now.sha256 != sum.sha256)
-      return Status::Integrity((crate / path).string() + " is not what " + kCrateManifestFile +
-                               " says; fetch the crate again");
+      return Status::Integrity((crate / path).string() + " does not match " + kCrateManifestFile +
+                               "; fetch the crate again");
     progress.Advance();
   }
   return Status::Ok();
@@ -49,7 +49,7 @@ Result<CrateReader> CrateReader::Open(const fs::path& crate, Logger& logger) {
   CrateReader reader;
   reader.crate_ = crate;
   if (std::error_code error; !fs::is_directory(crate, error))
-    return Status::NotFound(crate.string() + " is no folder; name the folder of a crate");
+    return Status::NotFound(crate.string() + " is not a folder; name the folder of a crate");
   SLX_RETURN_IF_ERROR(reader.ReadFormat());
   SLX_ASSIGN_OR_RETURN(const CrateFiles present, ListCrateFiles(crate));
   SLX_ASSIGN_OR_RETURN(reader.files_, ReadCrateManifest(crate, present));
@@ -84,7 +84,7 @@ Status CrateReader::ReadFormat() {
   std::set<std::string> once;
   for (const std::string& id : sessions_)
     if (!IsSessionId(id) || !once.insert(id).second)
-      return Status::Integrity(file.string() + ": '" + id.substr(0, 80) + "' is no session id, or stands there twice");
+      return Status::Integrity(file.string() + ": '" + id.substr(0, 80) + "' is not a session id, or is listed twice");
   return Status::Ok();
 }
 
@@ -125,8 +125,8 @@ Status CrateReader::CheckTable(const std::string& id, int64_t frames) const {
       return Status::Integrity(table.string() + ": " + frame.file + " shows two frames");
   }
   if (static_cast<int64_t>(files.size()) != frames)
-    return Status::Integrity(table.string() + " has " + std::to_string(files.size()) +
-                             " frames, session.json speaks of " + std::to_string(frames));
+    return Status::Integrity(table.string() + " has " + std::to_string(files.size()) + " frames, session.json says " +
+                             std::to_string(frames));
   const std::string prefix = "sessions/" + id + "/frames/";
   for (auto file = files_.lower_bound(prefix); file != files_.end() && file->first.starts_with(prefix); ++file)
     if (!files.contains("frames/" + file->first.substr(prefix.size())))

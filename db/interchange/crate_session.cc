@@ -39,7 +39,7 @@ Result<Consent> ReadConsent(const Json& json) {
 Status ReadVisit(const Json& json, SessionInfo& info) {
   json.at("visit").get_to(info.visit);
   if (!json.at("attempt").is_number_unsigned() || json.at("attempt") > kMostAttempts)
-    return Status::Integrity("attempt is no whole number from 0 to " + std::to_string(kMostAttempts));
+    return Status::Integrity("attempt is not a whole number from 0 to " + std::to_string(kMostAttempts));
   json.at("attempt").get_to(info.attempt);
   SLX_ASSIGN_OR_RETURN(info.found.findings, FindingsFromJson(json.at("findings").dump()));
   SLX_ASSIGN_OR_RETURN(info.found.faults, FaultsFromJson(json.at("faults").dump()));
@@ -47,7 +47,7 @@ Status ReadVisit(const Json& json, SessionInfo& info) {
 }
 
 Result<CrateSession> FromJson(const Json& json) {
-  if (json.at("format") != "stratalux-crate-session") return Status::Integrity("no session of a Stratalux crate");
+  if (json.at("format") != "stratalux-crate-session") return Status::Integrity("not a session of a Stratalux crate");
   if (!json.at("schema").is_number_unsigned() || json.at("schema") == 0)
     return Status::Integrity("schema " + json.at("schema").dump() + " does not exist");
   if (json.at("schema").get<uint64_t>() > kSessionSchema)
@@ -57,17 +57,17 @@ Result<CrateSession> FromJson(const Json& json) {
   CrateSession session;
   SessionInfo& info = session.info;
   json.at("session").get_to(info.id);
-  if (!IsSessionId(info.id)) return Status::Integrity("'" + info.id.substr(0, 80) + "' is no session id");
+  if (!IsSessionId(info.id)) return Status::Integrity("'" + info.id.substr(0, 80) + "' is not a session id");
   SLX_ASSIGN_OR_RETURN(info.kind, Known(ParseSessionKind(json.at("kind").get<std::string>())));
   json.at("rig").get_to(info.rig);
   json.at("visitor").get_to(info.visitor);
   SLX_ASSIGN_OR_RETURN(info.consent, ReadConsent(json.at("consent")));
   SLX_ASSIGN_OR_RETURN(info.retention, Known(ParseRetention(json.at("retention").get<std::string>())));
   json.at("simulated").get_to(info.simulated);
-  if (!json.at("seed").is_number_unsigned()) return Status::Integrity("seed is no whole number from 0");
+  if (!json.at("seed").is_number_unsigned()) return Status::Integrity("seed is not a whole number from 0");
   json.at("seed").get_to(info.seed);
   for (const char* time : {"started_wall_ns", "finished_wall_ns"})
-    if (!json.at(time).is_number_integer()) return Status::Integrity(std::string(time) + " is no whole number");
+    if (!json.at(time).is_number_integer()) return Status::Integrity(std::string(time) + " is not a whole number");
   json.at("started_wall_ns").get_to(info.started_wall.ns);
   json.at("finished_wall_ns").get_to(info.finished_wall.ns);
   SLX_ASSIGN_OR_RETURN(info.status, Known(ParseSessionStatus(json.at("status").get<std::string>())));
@@ -78,7 +78,7 @@ Result<CrateSession> FromJson(const Json& json) {
   if (json.contains("devices")) {
     SLX_ASSIGN_OR_RETURN(info.devices, DevicesFromJson(json.at("devices").dump()));
   }
-  if (!json.at("frames").is_number_unsigned()) return Status::Integrity("frames is no whole number from 0");
+  if (!json.at("frames").is_number_unsigned()) return Status::Integrity("frames is not a whole number from 0");
   json.at("frames").get_to(session.frames);
   session.has_plan = json.at("plan").get<bool>();
   session.has_calibration = json.at("calibration").get<bool>();
@@ -107,7 +107,7 @@ Status MayLeave(const std::filesystem::path& store, const SessionInfo& info, Cra
     return Status::Usage("session " + info.id + ": " + why + "; leave it out, or ask the visitor and record the " +
                          "answer with `stratalux-db consent give --scope fit," + ToString(scope) + "`");
   };
-  if (info.visitor.empty()) return refuse("it names no visitor whose consent could be asked");
+  if (info.visitor.empty()) return refuse("it names no visitor whose consent could be checked");
   SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));  // it outlives the index
   if (const auto withdrawn = ledger.WithdrawnAt(info.id))
     return Status::Usage("session " + info.id + ": the consent that it was made under was withdrawn on " +

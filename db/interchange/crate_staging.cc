@@ -23,7 +23,8 @@ Status RefuseUsedFolder(const fs::path& out) {
   std::error_code error;
   const fs::file_status status = fs::symlink_status(out, error);
   if (!fs::exists(status)) return Status::Ok();
-  if (!fs::is_directory(status)) return Status::Usage(out.string() + " is there and no folder; choose another name");
+  if (!fs::is_directory(status))
+    return Status::Usage(out.string() + " exists and is not a folder; choose another name");
   if (!fs::is_empty(out, error) || error)
     return Status::Usage(out.string() + " is not empty; a crate needs a folder of its own, choose another name");
   return Status::Ok();
@@ -45,7 +46,8 @@ Status Clear(const fs::path& folder) {
       std::all_of(fs::directory_iterator(folder, error), fs::directory_iterator(),
                   [](const auto& e) { return e.path().filename().string().starts_with(".stratalux-export-"); });
   if (error || (!marks_alone && ExportsIn(folder).empty()))
-    return Status::Usage(folder.string() + " is there and no broken-off export; move it away or choose another name");
+    return Status::Usage(folder.string() +
+                         " exists and is not an interrupted export; move it away or choose another name");
   // The marks go last: what breaks off here is known as an export's remains.
   std::vector<fs::path> names, marks;
   for (const auto& entry : fs::directory_iterator(folder, error))
@@ -65,7 +67,8 @@ Result<CrateStaging> CrateStaging::Take(const fs::path& out) {
   std::error_code error;
   staging.out_ = fs::absolute(out, error).lexically_normal();
   if (!staging.out_.has_filename()) staging.out_ = staging.out_.parent_path();
-  if (error || !staging.out_.has_filename()) return Status::Usage("'" + out.string() + "' is no name for a crate");
+  if (error || !staging.out_.has_filename())
+    return Status::Usage("'" + out.string() + "' is not a valid name for a crate");
   SLX_RETURN_IF_ERROR(RefuseUsedFolder(staging.out_));
   staging.folder_ = staging.out_;
   staging.folder_ += ".partial";

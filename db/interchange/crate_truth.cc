@@ -129,9 +129,9 @@ Result<Image<float>> ReadTruthMap(const fs::path& crate_session, const CrateTrut
   const fs::path file = crate_session / map.file;
   std::error_code error;
   if (fs::file_size(file, error) != static_cast<uintmax_t>(bytes) || error)
-    return Status::Integrity(file.string() + " is no array of the size that maps.csv states");
+    return Status::Integrity(file.string() + " is not an array of the size that maps.csv states");
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadCrateFile(file, bytes));
-  if (!text.starts_with(header)) return Status::Integrity(file.string() + " is no array that maps.csv describes");
+  if (!text.starts_with(header)) return Status::Integrity(file.string() + " is not the array that maps.csv describes");
   Image<float> image(map.width, map.height, map.channels);
   std::memcpy(image.data(), text.data() + header.size(), image.size() * sizeof(float));
   return image;

@@ -110,7 +110,7 @@ Result<ExportReport> ExportOne(const SessionStore& store, const SessionRow& sess
     info.devices = store.DevicesOf(id);
     const std::string toml = ImportToml(info, frames, options.format);
     if (toml.empty()) {
-      logger.Info("no import.toml: there are no frames, or of several depths or colours");
+      logger.Info("no import.toml: there are no frames, or they differ in depth or colours");
     } else {
       SLX_RETURN_IF_ERROR(WriteTextOnce(options.out / "import.toml", toml).status());
     }
@@ -191,7 +191,7 @@ Result<ExportReport> ExportVisitor(const SessionStore& store, const std::string&
   std::error_code error;
   if (fs::exists(options.out, error) && !fs::is_empty(options.out, error) && !fs::exists(known, error) &&
       ExportsIn(options.out).empty())
-    return Status::Usage(options.out.string() + " is not empty and no interrupted export; choose another folder");
+    return Status::Usage(options.out.string() + " is not empty and not an interrupted export; choose another folder");
   SLX_RETURN_IF_ERROR(MakeFolder(options.out));
   // Both speak of every session, and name the visitor: they go with whichever is forgotten first, as in a crate.
   const std::vector<std::string> of_all = {known.filename().string(), readme.filename().string()};

@@ -88,7 +88,7 @@ Result<Written> WriteFrameOnce(const fs::path& file, ExportFormat format, PixelF
                       there->image.channels() == image.channels() &&
                       std::equal(image.pixels().begin(), image.pixels().end(), there->image.pixels().begin());
     if (same) return Written::kBefore;
-    return Status::Integrity(file.string() + " is there and holds other pixels; choose another folder");
+    return Status::Integrity(file.string() + " already exists and holds other pixels; choose another folder");
   }
   const fs::path part = file.string() + ".part";
   Status written = WriteImage(part, format, pixels, image);
@@ -106,7 +106,7 @@ Result<Written> WriteTextOnce(const fs::path& file, const std::string& text) {
   if (fs::exists(file, error)) {
     const auto there = ReadFile(file, kAnyFileSize);
     if (there.ok() && *there == text) return Written::kBefore;
-    return Status::Integrity(file.string() + " is there and differs; choose another folder");
+    return Status::Integrity(file.string() + " already exists and differs; choose another folder");
   }
   SLX_RETURN_IF_ERROR(ReplaceFile(file, text));
   return Written::kNow;
@@ -229,7 +229,7 @@ Status PrepareExportFolder(const fs::path& folder, const std::string& id) {
   const fs::path marker = ExportMarker(folder, id);
   std::error_code error;
   if (!fs::exists(marker, error) && fs::exists(folder, error) && !fs::is_empty(folder, error))
-    return Status::Usage(folder.string() + " is not empty and no interrupted export of session " + id +
+    return Status::Usage(folder.string() + " is not empty and not an interrupted export of session " + id +
                          "; choose another folder");
   return MakeFolder(folder / "frames");
 }

@@ -48,9 +48,11 @@ Result<Image<uint16_t>> ReadChecked(const ImportManifest& manifest, const Import
   if (image->channels() != 1) return Complaint(frame, "is a colour image; raw frames have one channel");
   const FrameRecord& r = frame.record;
   if (r.width > 0 && image->width() != r.width)
-    return Complaint(frame, "is " + std::to_string(image->width()) + " wide, its pose " + std::to_string(r.width));
+    return Complaint(frame,
+                     "is " + std::to_string(image->width()) + " wide, but its pose is " + std::to_string(r.width));
   if (r.height > 0 && image->height() != r.height)
-    return Complaint(frame, "is " + std::to_string(image->height()) + " high, its pose " + std::to_string(r.height));
+    return Complaint(frame,
+                     "is " + std::to_string(image->height()) + " high, but its pose is " + std::to_string(r.height));
   if (r.crop_x + image->width() > manifest.camera_width || r.crop_y + image->height() > manifest.camera_height)
     return Complaint(frame, SizeText(image->width(), image->height()) + " at (" + std::to_string(r.crop_x) + ", " +
                                 std::to_string(r.crop_y) + ") leaves the camera's frame of " +
@@ -67,7 +69,7 @@ Status CheckFiles(ImportManifest& manifest, Progress& progress) {
     const std::pair size(image.width(), image.height());
     const auto [first, fresh] = size_of_pose.try_emplace(frame.record.pose, size);
     if (!fresh && first->second != size)
-      return Complaint(frame, "is " + SizeText(size.first, size.second) + ", the first file of its pose " +
+      return Complaint(frame, "is " + SizeText(size.first, size.second) + ", but the first file of its pose is " +
                                   SizeText(first->second.first, first->second.second));
     frame.record.width = size.first;
     frame.record.height = size.second;

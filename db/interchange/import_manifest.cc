@@ -151,12 +151,12 @@ Status CheckBits(const TomlTable& table, const std::string& key, const Pattern& 
             "pattern '" + pattern.ToString() + "' is of a code of " + std::to_string(pattern.bits) + " bits, " +
                 std::to_string(extent) + (columns ? " columns" : " rows") + " need " + std::to_string(needed) +
                 "; name the planes bit=0/" + std::to_string(needed) +
-                " and on, or as the projector's size the part of it that shows them");
+                " and so on, or give as the projector's size the part of it that shows them");
 }
 
 Status AddShot(const TomlTable& table, const std::string& key, const std::string& file, const std::string& pattern,
                const std::string& phase, const Projectors& projectors, Shot shot, std::vector<Shot>& shots) {
-  if (file.find('\0') != std::string::npos) return At(table, key, "a file's name holds no zero byte");
+  if (file.find('\0') != std::string::npos) return At(table, key, "a file's name must not contain a zero byte");
   const auto parsed = Pattern::Parse(pattern);
   if (!parsed.ok()) return At(table, key, parsed.status().message());
   const Status fits = parsed->Validate(projectors.width, projectors.height);
@@ -205,7 +205,7 @@ Status ReadEntry(TomlTable& table, const Projectors& projectors, const FrameReco
   }
   if (patterns.empty() || !pattern.empty()) return At(table, "sequence", "needs a list of patterns");
   if (Numbered(sequence, 0).empty())
-    return At(table, "sequence", "'" + sequence + "' has no '#' in the number's place, such as g##.png");
+    return At(table, "sequence", "'" + sequence + "' has no '#' in place of the number, such as g##.png");
   for (size_t i = 0; i < patterns.size(); ++i)
     SLX_RETURN_IF_ERROR(AddShot(table, "patterns", Numbered(sequence, first + static_cast<int>(i)), patterns[i], phase,
                                 projectors, shot, shots));
@@ -258,7 +258,7 @@ class RepeatedFrames {
     // Of black, decoding takes the mean where poses are not numbered.
     if (r.phase == CapturePhase::kReference && (white || r.pose >= 0) && warned_.insert(first->first).second)
       notes.push_back(frame.where + ": " + what + " is listed at " + first->second +
-                      ", too; decoding and boards read the last one alone");
+                      ", too; decoding and boards use only the last one");
     return Status::Ok();
   }
 
@@ -304,7 +304,7 @@ Result<ImportManifest> ReadImportManifest(const ImportOptions& options) {
     const auto of_pose = shots_of.Of(pose.index);
     if (manifest.frames.size() + of_pose.size() > kMostFrames)
       return Status::Usage(options.manifest.string() + ": names more than " + std::to_string(kMostFrames) +
-                           " frames, poses times files; import some poses at a time (--pose)");
+                           " frames, poses times files; import one pose at a time (--pose)");
     for (const size_t shot : of_pose) {
       manifest.frames.push_back(FrameOf(shots[shot], pose, root));
       SLX_RETURN_IF_ERROR(repeated.Add(manifest.frames.back(), manifest.notes));

@@ -31,7 +31,7 @@ class Reader {
   }
   // The one blank between header and binary samples.
   Status SkipOne() {
-    if (at_ >= bytes_.size() || std::isspace(bytes_[at_]) == 0) return Damaged("no blank behind the header");
+    if (at_ >= bytes_.size() || std::isspace(bytes_[at_]) == 0) return Damaged("no blank after the header");
     ++at_;
     return Status::Ok();
   }
@@ -77,7 +77,7 @@ Result<ImageFile> DecodePnm(std::span<const uint8_t> bytes, const std::string& f
   Reader reader(bytes, file);
   const char kind = bytes.size() > 1 ? static_cast<char>(bytes[1]) : '?';
   if (kind != '2' && kind != '3' && kind != '5' && kind != '6')
-    return Status::Usage(file + ": Netpbm P" + std::string(1, kind) + "; P2, P3, P5 and P6 are read");
+    return Status::Usage(file + ": Netpbm P" + std::string(1, kind) + "; only P2, P3, P5 and P6 can be read");
   reader.Skip(2);
   SLX_ASSIGN_OR_RETURN(const int64_t width, reader.Number("the width", 1, kLargestSide));
   SLX_ASSIGN_OR_RETURN(const int64_t height, reader.Number("the height", 1, kLargestSide));

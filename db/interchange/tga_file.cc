@@ -28,7 +28,7 @@ Result<TgaLayout> ReadLayout(std::span<const uint8_t> b, const std::string& file
   const bool colour = (type == 2 || type == 10) && (depth == 24 || depth == 32);
   if (b[1] != 0 || (!grey && !colour))
     return Status::Usage(file + ": TGA of type " + std::to_string(type) + " with " + std::to_string(depth) +
-                         " bits; 8 bit grey and 24 or 32 bit colour are read, plain or run-length encoded");
+                         " bits; only 8 bit grey and 24 or 32 bit colour, plain or run-length encoded, can be read");
   TgaLayout layout;
   layout.width = word(12);
   layout.height = word(14);

@@ -99,7 +99,7 @@ Result<TiffLayout> ReadTiffLayout(TIFF* tiff, const Memory& memory, const std::s
   if ((l.bits != 8 && l.bits != 16) || (!grey && !colour) || l.planar != PLANARCONFIG_CONTIG ||
       TIFFIsTiled(tiff) != 0 || l.format != SAMPLEFORMAT_UINT)
     return Status::Usage(file + ": TIFF with " + std::to_string(l.samples) + " samples of " + std::to_string(l.bits) +
-                         " bits; grey (0 = black) and RGB of 8 or 16 bits unsigned, in strips, are read");
+                         " bits; only grey (0 = black) and RGB of 8 or 16 bits unsigned, in strips, can be read");
   if (l.width == 0 || l.height == 0 || l.width > kLargestSide || l.height > kLargestSide)
     return Status::Integrity(file + ": impossible size " + std::to_string(l.width) + "x" + std::to_string(l.height) +
                              ", allowed: 1 .. " + std::to_string(kLargestSide) + " a side");

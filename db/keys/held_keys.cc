@@ -55,7 +55,7 @@ void TakeFromEnvironment(HeldKeys& held) {
   char* end = nullptr;
   const long number = std::strtol(text, &end, 10);
   if (end == text || *end != '\0' || number < 0 || number > 1'000'000) {
-    held.read = Status::Usage(std::string("$") + kHeldKeysVariable + ": '" + text + "' is no descriptor");
+    held.read = Status::Usage(std::string("$") + kHeldKeysVariable + ": '" + text + "' is not a file descriptor");
     return;
   }
   const UniqueFd fd(static_cast<int>(number));
@@ -80,10 +80,10 @@ HeldKeys& OfThisProcess() {
 Status CheckKeyPipe(int fd) {
   struct stat info {};
   if (fstat(fd, &info) != 0)
-    return Status::Usage("descriptor " + std::to_string(fd) + ", through which keys were to come, is not open");
+    return Status::Usage("descriptor " + std::to_string(fd) + ", which should deliver keys, is not open");
   if (S_ISFIFO(info.st_mode) || S_ISSOCK(info.st_mode)) return Status::Ok();
   return Status::Usage(
-      "keys go through a pipe alone, never into or out of a file: `stratalux-fit batch keys ... | "
+      "keys are passed only through a pipe, never to or from a file: `stratalux-fit batch keys ... | "
       "stratalux-fit batch shard ... --keys`");
 }
 
@@ -107,13 +107,13 @@ Result<std::vector<SessionKey>> ReadKeys(int fd) {
   KeysHeader header{};
   SLX_ASSIGN_OR_RETURN(const size_t begun, FillFrom(fd, &header, sizeof header));
   if (begun < sizeof header || std::memcmp(header.magic, kKeysMagic, sizeof kKeysMagic) != 0)
-    return Status::Integrity("what came through the pipe are no keys of `stratalux-fit batch keys`");
+    return Status::Integrity("the pipe did not deliver keys of `stratalux-fit batch keys`");
   std::vector<SessionKey> keys;
   KeyRecord record;
   for (uint64_t i = 0; i < header.count; ++i) {
     SLX_ASSIGN_OR_RETURN(const size_t size, FillFrom(fd, record.bytes.data(), record.bytes.size()));
     if (size < record.bytes.size())
-      return Status::Integrity("the pipe closed behind " + std::to_string(i) + " of " + std::to_string(header.count) +
+      return Status::Integrity("the pipe closed after " + std::to_string(i) + " of " + std::to_string(header.count) +
                                " keys");
     SessionKey key;
     auto secret = std::make_shared<SecretKey>();
@@ -123,7 +123,7 @@ Result<std::vector<SessionKey>> ReadKeys(int fd) {
     keys.push_back(std::move(key));
   }
   SLX_ASSIGN_OR_RETURN(const size_t more, FillFrom(fd, record.bytes.data(), 1));
-  if (more > 0) return Status::Integrity("more came through the pipe than the keys that were announced");
+  if (more > 0) return Status::Integrity("the pipe delivered more than the keys that were announced");
   return keys;
 }
 
@@ -138,7 +138,7 @@ Result<SessionKey> FindHeldKey(const KeyId& id) {
   const std::lock_guard lock(held.mutex);
   if (const auto found = held.keys.find(id); found != held.keys.end()) return SessionKey{id, found->second};
   SLX_RETURN_IF_ERROR(held.read);
-  return Status::NotFound("this program was handed no key " + ToHex(id));
+  return Status::NotFound("this program was not given key " + ToHex(id));
 }
 
 }  // namespace stratalux::db

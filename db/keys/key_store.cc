@@ -36,7 +36,7 @@ Result<Connection> Checked(const std::filesystem::path& file, Connection::Mode m
   SLX_ASSIGN_OR_RETURN(const int64_t identity, connection.QueryInteger("PRAGMA application_id"));
   SLX_ASSIGN_OR_RETURN(const int64_t version, connection.QueryInteger("PRAGMA user_version"));
   if (identity != kApplicationId && !(identity == 0 && version == 0))
-    return Status::Integrity(file.string() + " is no key file of a Stratalux store");
+    return Status::Integrity(file.string() + " is not a key file of a Stratalux store");
   if (version > kKeySchema)
     return Status(StatusCode::kNewerSchema, file.string() + ": schema " + std::to_string(version) +
                                                 " is newer than this program's " + std::to_string(kKeySchema) +

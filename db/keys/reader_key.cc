@@ -17,7 +17,7 @@ namespace fs = std::filesystem;
 
 constexpr SecretFileKind kReaderKeyFile = {"stratalux reader key 1 x25519", "reader's key",
                                            "`stratalux-db key reader-init --out FILE` makes a reader's key",
-                                           "what was sealed to it could not be read with another"};
+                                           "keys sealed to it could not be opened with another key"};
 constexpr const char* kPublicStart = "x25519-";
 constexpr const char* kVariable = "STRATALUX_READER_KEY";
 constexpr const char* kCredential = "reader.key";

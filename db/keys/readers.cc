@@ -28,9 +28,10 @@ Result<std::vector<ReaderPublicKey>> ListReaders(const fs::path& store) {
   for (const fs::path& file : files) {
     const auto reader = ParseReaderPublicKey(file.string());
     if (!reader.ok() || file != ReaderFile(store, IdOf(*reader)))
-      return Status::Integrity(file.string() +
-                               " is not the public key that it is named for: remove it, and `stratalux-db key share`"
-                               " that reader's key again");
+      return Status::Integrity(
+          file.string() +
+          " does not hold the public key that its name stands for: remove it, and `stratalux-db key share`"
+          " that reader's key again");
     readers.push_back(*reader);
   }
   return readers;

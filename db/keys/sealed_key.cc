@@ -69,7 +69,7 @@ Result<KeyFileParts> ReadParts(const fs::path& file) {
   if (type == fs::file_type::not_found) return Status::NotFound(file.string() + " is not there");
   // A link, a pipe, or something larger than any is no sealed key.
   const auto size = fs::file_size(file, error);
-  const Status foreign = Status::Integrity(file.string() + " is no sealed key");
+  const Status foreign = Status::Integrity(file.string() + " is not a sealed key");
   if (type != fs::file_type::regular || error) return foreign;
   KeyFileParts parts;
   SLX_ASSIGN_OR_RETURN(const std::string bytes,
@@ -87,9 +87,10 @@ Result<KeyFileParts> ReadParts(const fs::path& file) {
                      bytes.size() == said + kBoxBytes + kDigestBytes &&
                      DigestOfFile(bytes.substr(0, said + kBoxBytes)) == bytes.substr(said + kBoxBytes);
   if (!whole)
-    return Status::Integrity(file.string() +
-                             " was cut off or changed; `stratalux-db key share` where the session was captured seals"
-                             " its key again");
+    return Status::Integrity(
+        file.string() +
+        " was cut off or changed; run `stratalux-db key share` where the session was captured to seal"
+        " its key again");
   parts.said = bytes.substr(0, said);
   parts.box = bytes.substr(said, kBoxBytes);
   return parts;
@@ -99,7 +100,8 @@ Status CheckParts(const fs::path& file, const KeyFileParts& parts, const std::st
   if (parts.session() != session_id)
     return Status::Integrity(file.string() + " is the sealed key of session " + parts.session() + ", not of " +
                              session_id);
-  if (parts.key() != key) return Status::Integrity(file.string() + " is a sealed key of another id than its session's");
+  if (parts.key() != key)
+    return Status::Integrity(file.string() + " is a sealed key with a different id from its session's");
   if (file.filename() != SealedKeyFile({}, parts.reader()).filename())
     return Status::Integrity(file.string() + " is sealed to reader " + ToHex(parts.reader()));
   return Status::Ok();
@@ -128,7 +130,7 @@ std::vector<fs::path> ListSealedKeys(const fs::path& folder) {
 Status WriteSealedKey(const fs::path& folder, const std::string& session_id, const SessionKey& key,
                       const ReaderPublicKey& reader) {
   if (session_id.empty() || session_id.size() > kMostSessionBytes)
-    return Status::Usage("'" + session_id + "' is no id of a session");
+    return Status::Usage("'" + session_id + "' is not a session id");
   const ReaderId id = IdOf(reader);
   RawKeyHeader header{};
   std::memcpy(header.magic, kKeyMagic, sizeof kKeyMagic);
@@ -144,7 +146,7 @@ Status WriteSealedKey(const fs::path& folder, const std::string& session_id, con
   std::string box(kBoxBytes, '\0');
   if (crypto_box_seal(reinterpret_cast<uint8_t*>(box.data()), open.bytes.data(), open.bytes.size(),
                       reader.bytes.data()) != 0)
-    return Status::Usage(ToText(reader) + " is no key that anything can be sealed to");
+    return Status::Usage(ToText(reader) + " is not a key that anything can be sealed to");
   bytes += box;
   return ReplaceFile(SealedKeyFile(folder, id), bytes + DigestOfFile(bytes));
 }
@@ -169,9 +171,10 @@ Result<SessionKey> OpenSealedKey(const fs::path& folder, const std::string& sess
   if (crypto_box_seal_open(open.bytes.data(), reinterpret_cast<const uint8_t*>(parts.box.data()), parts.box.size(),
                            reader.public_key().bytes.data(), reader.secret().bytes.data()) != 0 ||
       sodium_memcmp(open.bytes.data(), bound.data(), bound.size()) != 0)
-    return Status::Integrity(file.string() +
-                             " does not open with the reader's key as the key of this session: it was changed, or put"
-                             " there by another");
+    return Status::Integrity(
+        file.string() +
+        " cannot be opened with the reader's key as the key of this session: it was changed, or put"
+        " there by someone else");
   auto secret = std::make_shared<SecretKey>();
   std::copy_n(open.bytes.begin() + kBoundBytes, secret->bytes.size(), secret->bytes.begin());
   return SessionKey{key, std::move(secret)};

@@ -58,7 +58,7 @@ Result<std::shared_ptr<const SecretKey>> ReadSecretFile(const fs::path& file, co
   struct stat info {};
   if (fstat(fd.get(), &info) != 0 || !S_ISREG(info.st_mode) || MayBeReadByOthers(info, guard))
     return Status::Failed(file.string() +
-                          " can be read by others: `chmod 600`, and think whether it still is a secret");
+                          " can be read by others: `chmod 600` it, and consider whether it is still a secret");
   LockedBytes<kMostBytes> held;  // zeros behind what is read
   char* text = reinterpret_cast<char*>(held.bytes.data());
   const ssize_t size = read(fd.get(), text, kMostBytes - 1);
@@ -72,7 +72,7 @@ Result<std::shared_ptr<const SecretKey>> ReadSecretFile(const fs::path& file, co
       sodium_hex2bin(key->bytes.data(), key->bytes.size(), digits, kDigits, nullptr, &bytes, &behind) == 0 &&
       bytes == key->bytes.size() && behind == digits + kDigits && behind[std::strspn(behind, " \r\n")] == '\0';
   if (!whole)
-    return Status::Integrity(file.string() + " is no " + kind.name + ", or damaged; restore it from your own copy");
+    return Status::Integrity(file.string() + " is not a " + kind.name + ", or damaged; restore it from your own copy");
   return std::shared_ptr<const SecretKey>(std::move(key));
 }
 
@@ -89,7 +89,7 @@ Status PlaceSecretFile(const fs::path& file, const SecretFileKind& kind, const S
   if (placed.ok() && fsync(fd.get()) != 0)
     placed = Status::Failed("cannot sync " + beside.string() + ": " + std::strerror(errno));
   if (placed.ok() && link(beside.c_str(), file.c_str()) != 0)
-    placed = errno == EEXIST ? Status::Usage(file.string() + " is there already; " + kind.never_replaced)
+    placed = errno == EEXIST ? Status::Usage(file.string() + " already exists; " + kind.never_replaced)
                              : Status::Failed("cannot create " + file.string() + ": " + std::strerror(errno));
   unlink(beside.c_str());
   return placed.ok() ? SyncFolder(file.parent_path()) : placed;

@@ -20,12 +20,12 @@ Result<SessionKey> FindKeyOf(const std::filesystem::path& store, const std::stri
     key = reader.ok() ? OpenSealedKey(folder, session_id, id, *reader) : Result<SessionKey>(reader.status());
     if (key.status().code() != StatusCode::kNotFound) return key;
     no_copy = reader.ok() ? "no copy of it is sealed to this reader (" + ToHex(IdOf(reader->public_key())) + ")"
-                          : "a sealed copy is, but " + reader.status().message();
+                          : "there is a sealed copy, but " + reader.status().message();
   }
   return Status::NotFound(
       "session " + session_id + " is encrypted and cannot be read: " + not_here + ", and " + no_copy +
       "; it was destroyed by `forget`, or this copy was made without keys (on the machine that captured it:"
-      " `stratalux-db key share`, before a pull, or `stratalux-db key export`, and `key import` here)");
+      " `stratalux-db key share` before a pull, or `stratalux-db key export` and then `key import` here)");
 }
 
 }  // namespace stratalux::db

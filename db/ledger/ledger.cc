@@ -48,8 +48,8 @@ std::vector<LedgerEntry> Salvage(std::string_view line) {
 }
 
 Status Newer(const fs::path& file, int64_t line) {
-  return Status(StatusCode::kNewerSchema,
-                file.string() + ", line " + std::to_string(line) + ": of a later version; use a newer stratalux");
+  return Status(StatusCode::kNewerSchema, file.string() + ", line " + std::to_string(line) +
+                                              ": written by a later version; use a newer stratalux");
 }
 
 }  // namespace
@@ -90,7 +90,7 @@ void LedgerReader::CheckPlace(const LedgerLine& line, const LedgerLine& before, 
   if (line.state == LineState::kDamaged || before.state == LineState::kDamaged) return;
   if (line.n != before.n + 1 || line.prev != before.hash)
     Problem(where + ": does not follow entry " + std::to_string(before.n) +
-            ": lines were taken out, moved or put in; what it says binds nevertheless");
+            ": lines were removed, moved or inserted; what it says still counts");
 }
 
 void LedgerReader::Add(const ChainFile& chain, bool own) {
@@ -118,7 +118,7 @@ void LedgerReader::Add(const ChainFile& chain, bool own) {
       if (readable.empty()) readable = Salvage(text);
       if (++damaged_ <= kProblemsShown)
         Problem(where + ": damaged, it does not match its hash; " +
-                (readable.empty() ? "it cannot be read" : "what can be read of it binds nevertheless"));
+                (readable.empty() ? "it cannot be read" : "what can be read of it still counts"));
     }
     for (LedgerEntry& entry : readable) Bind(std::move(entry));
     before = std::move(line);
@@ -138,8 +138,8 @@ Status AddFolder(const fs::path& folder, LedgerReader& reader) {
   for (const ChainFile& chain : chains) {
     const bool is_own = own.ok() && chain.path.stem() == *own;
     if (chain.path.stem() != chain.store_id)
-      reader.Problem(chain.path.string() + " departs from " + chain.store_id +
-                     ".jsonl: the store was copied by hand and written to in both places; both bind");
+      reader.Problem(chain.path.string() + " differs from " + chain.store_id +
+                     ".jsonl: the store was copied by hand and written to in both places; both count");
     reader.Add(chain, is_own);
   }
   return Status::Ok();

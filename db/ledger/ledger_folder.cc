@@ -139,13 +139,13 @@ Result<std::vector<ChainFile>> ListChains(const fs::path& folder) {
 
 Result<std::string> ReadChain(const fs::path& file) {
   constexpr const char* kRemedy =
-      "; whom it forgets would come back unseen: let this account read it, or put it back from a backup";
+      "; those whom it forgets could come back unnoticed: let this account read it, or restore it from a backup";
   std::error_code error;
   const auto type = fs::symlink_status(file, error).type();
   if (type == fs::file_type::none)
-    return Status::Failed("cannot look at " + file.string() + ": " + error.message() + kRemedy);
+    return Status::Failed("cannot check " + file.string() + ": " + error.message() + kRemedy);
   if (type != fs::file_type::regular)
-    return Status::Integrity(file.string() + " is no regular file; a chain of the ledger belongs there");
+    return Status::Integrity(file.string() + " is not a regular file; a chain of the ledger belongs there");
   auto bytes = ReadFile(file, kMostChainBytes);
   if (!bytes.ok()) return Status::Failed(bytes.status().message() + kRemedy);
   return bytes;
@@ -180,7 +180,7 @@ Status AppendLocked(const fs::path& store, const std::vector<LedgerEntry>& entri
   if (written.ok() && fdatasync(chain.fd.get()) != 0) written = Failure("sync", chain.file, errno);
   if (!written.ok()) {
     // Nobody was told of it: gone as far as that can be had, torn and cut by the next append otherwise.
-    if (ftruncate(chain.fd.get(), chain.keep) != 0) return written.WithContext("and it could not be taken back");
+    if (ftruncate(chain.fd.get(), chain.keep) != 0) return written.WithContext("and it could not be undone");
     return written;
   }
   return SyncFolder(LedgerFolder(store));
@@ -191,11 +191,11 @@ Result<std::string> StoreIdIn(const fs::path& folder) {
   std::error_code error;
   const auto read = ReadFile(file);
   if (!read.ok() && fs::symlink_status(file, error).type() != fs::file_type::not_found)
-    return Status::Failed(read.status().message() + "; let this account read it: the store keeps its id");
+    return Status::Failed(read.status().message() + "; let this account read it, so that the store keeps its id");
   SLX_ASSIGN_OR_RETURN(const std::string text, read);
   if (text.size() != kIdDigits + 1 || text.back() != '\n' || !IsHex(text.substr(0, kIdDigits), kIdDigits))
     return Status::Integrity(
-        file.string() + " holds no store id; the next entry makes a new one (what the old chain says still binds)");
+        file.string() + " holds no store id; the next entry makes a new one (what the old chain says still counts)");
   return text.substr(0, kIdDigits);
 }
 

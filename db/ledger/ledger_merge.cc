@@ -40,7 +40,7 @@ Result<Chain> ReadSource(const ChainFile& file) {
     const LedgerLine line = ParseLine(std::string_view(chain.bytes).substr(at, newline - at));
     if (line.state == LineState::kNewer)
       return Status(StatusCode::kNewerSchema,
-                    file.path.string() + ": of a later version; use a newer stratalux to take it over");
+                    file.path.string() + ": written by a later version; use a newer stratalux to take it over");
     readable |= line.entry.has_value();
     const bool whole = line.state != LineState::kDamaged;
     chain.damaged_lines += whole ? 0 : 1;
@@ -104,13 +104,13 @@ Status MergeOne(const fs::path& folder, const Chain& source, LedgerMerge& merge)
   std::error_code error;
   if (!fs::exists(main, error)) return Take(main, source, 0, merge);
   if (SaysNothingNew(source, lines_here)) {
-    merge.problems.push_back(source.file.path.string() + " is damaged: it lacks lines of what is here as " +
+    merge.problems.push_back(source.file.path.string() + " is damaged: it lacks lines of what is stored here as " +
                              main.filename().string() + ", or has them in another order; nothing of it is new");
     return Status::Ok();
   }
   const fs::path fork = ForkName(folder, source, main_bytes);
-  merge.problems.push_back(source.file.path.string() + " departs from what is here as " + main.filename().string() +
-                           ": kept as " + fork.filename().string() + "; both bind");
+  merge.problems.push_back(source.file.path.string() + " differs from what is stored here as " +
+                           main.filename().string() + ": kept as " + fork.filename().string() + "; both count");
   return Take(fork, source, 0, merge);
 }
 
@@ -134,7 +134,7 @@ Result<LedgerMerge> MergeLedger(const fs::path& store, const fs::path& folder) {
       if (source->damaged_lines + source->gaps > 0)
         merge.problems.push_back(file.path.string() + ": " + std::to_string(source->damaged_lines) +
                                  " damaged lines, and " + std::to_string(source->gaps) +
-                                 " that do not follow the one before; what can be read of it binds nevertheless");
+                                 " that do not follow the one before; what can be read of it still counts");
       SLX_RETURN_IF_ERROR(MergeOne(LedgerFolder(store), *source, merge));
     }
   }

@@ -27,7 +27,7 @@ std::string TextIn(const Cell& cell) {
 std::string WhyWithheld(SessionKind kind, const Consent& consent, std::optional<WallNs> withdrawn) {
   if (kind != SessionKind::kVisitor) return "";
   if (withdrawn) return "the visitor's consent was withdrawn on " + ToIso8601(*withdrawn);
-  return consent.fit ? "" : "no consent of the visitor covers looking at them (scope fit)";
+  return consent.fit ? "" : "no consent of the visitor allows viewing them (scope fit)";
 }
 
 Status MayBeShown(const std::filesystem::path& store, ReadOnlyIndex& index, const std::string& id) {

@@ -28,7 +28,7 @@ Result<std::vector<std::string>> ReadMarker(const fs::path& file, const std::str
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
   const Json json = Json::parse(text, nullptr, false);
   if (!json.is_object() || json.value("session", "") != session_id || !json.contains("files"))
-    return Status::Integrity(file.string() + " is no export marker of session " + session_id);
+    return Status::Integrity(file.string() + " is not an export marker of session " + session_id);
   std::vector<std::string> files;
   for (const Json& name : json["files"])
     if (name.is_string()) files.push_back(name.get<std::string>());
@@ -90,7 +90,7 @@ Status EndExport(const fs::path& store, const std::string& session_id, const fs:
   // The forgetting may have taken the marker before the last files came.
   SLX_RETURN_IF_ERROR(WriteExportMarker(folder, session_id, files));
   SLX_RETURN_IF_ERROR(RemoveExport(ExportPlace(folder), session_id).status());
-  return stays.WithContext("what was exported meanwhile is deleted again");
+  return stays.WithContext("what was exported until then is deleted again");
 }
 
 Status WriteExport(const fs::path& store, const std::string& action, const std::string& session_id,
@@ -164,11 +164,12 @@ Result<bool> IsExportThere(const fs::path& folder, const std::string& session_id
   const fs::file_status found = fs::symlink_status(marker, error);
   if (fs::exists(found)) return true;
   if (found.type() != fs::file_type::not_found)
-    return Status::Failed("cannot look at " + marker.string() + ": " + error.message());
+    return Status::Failed("cannot check " + marker.string() + ": " + error.message());
   const auto mounts = ReadFile("/proc/self/mountinfo", kAnyFileSize);
   if (const std::string point = mounts.ok() ? HiddenBy(*mounts, folder) : ""; !point.empty())
-    return Status::Failed("cannot look at " + marker.string() + ": " + point +
-                          " is hidden from this unit (PrivateTmp, ProtectHome); forget with --resume from a shell");
+    return Status::Failed(
+        "cannot check " + marker.string() + ": " + point +
+        " is hidden from this unit (PrivateTmp, ProtectHome); run `stratalux-db forget --resume` from a shell");
   return false;
 }
 

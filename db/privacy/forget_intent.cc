@@ -165,7 +165,7 @@ Result<std::vector<uint8_t>> FromHex(const std::string& text) {
   if (text.size() % 2 != 0 ||
       sodium_hex2bin(bytes.data(), bytes.size(), text.data(), text.size(), nullptr, &length, nullptr) != 0 ||
       length != bytes.size())
-    return Status::Integrity("'" + text + "' is no hexadecimal number");
+    return Status::Integrity("'" + text + "' is not a hexadecimal number");
   return bytes;
 }
 
@@ -254,8 +254,8 @@ Result<std::vector<ForgetIntent>> ReadIntents(const fs::path& store, std::vector
       continue;  // another forget has finished it meanwhile
     if (!read.ok()) {
       unread.push_back(read.status().message() + "; session " + id +
-                       " is not wholly forgotten before this account can read it: run `stratalux-db forget"
-                       " --resume` as who began it, or change the file's owner");
+                       " is not completely forgotten until this account can read it: run `stratalux-db forget"
+                       " --resume` as the account that began it, or change the file's owner");
       continue;
     }
     const std::string& text = *read;

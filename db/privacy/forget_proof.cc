@@ -90,7 +90,7 @@ Status Checkpoint(Connection& connection) {
   SLX_ASSIGN_OR_RETURN(const int64_t busy, connection.QueryInteger("PRAGMA wal_checkpoint(TRUNCATE)"));
   if (busy != 0)
     return Status::Busy(
-        "another program reads the index, whose log therefore still holds the old rows; the frames are"
+        "another program is reading the index, so its log still holds the old rows; the frames are"
         " gone: run `stratalux-db forget --resume` once it has finished");
   return Status::Ok();
 }

@@ -28,7 +28,7 @@ constexpr int64_t kSchema = 1;
 Result<KeyId> KeyIdFrom(const std::string& hex) {
   SLX_ASSIGN_OR_RETURN(const auto bytes, FromHex(hex));
   KeyId id{};
-  if (bytes.size() != id.size()) return Status::Integrity("'" + hex + "' is no key id");
+  if (bytes.size() != id.size()) return Status::Integrity("'" + hex + "' is not a key id");
   std::copy(bytes.begin(), bytes.end(), id.begin());
   return id;
 }
@@ -67,7 +67,7 @@ Status ExportKeyFile(const std::filesystem::path& store, const SessionRow& sessi
   if (session.key_id.empty()) return Status::Usage("session " + session.info.id + " is not encrypted");
   // Before it is logged; opening it asks again.
   if (std::error_code error; std::filesystem::exists(file, error))
-    return Status::Usage(file.string() + " is there already; remove it first, or choose another name");
+    return Status::Usage(file.string() + " already exists; remove it first, or choose another name");
   SLX_ASSIGN_OR_RETURN(const KeyId id, KeyIdFrom(session.key_id));
   SLX_ASSIGN_OR_RETURN(const SessionKey key, FindKey(store, id));
   std::string secret(2 * key.key->bytes.size() + 1, '\0');
@@ -76,7 +76,7 @@ Status ExportKeyFile(const std::filesystem::path& store, const SessionRow& sessi
   const Json json = {{"schema", kSchema}, {"session", session.info.id}, {"key_id", session.key_id}, {"key", secret}};
   std::error_code error;
   if (std::filesystem::exists(std::filesystem::symlink_status(file, error)))
-    return Status::Usage(file.string() + " is there already; choose another name, or move it away");
+    return Status::Usage(file.string() + " already exists; choose another name, or move it away");
   const auto folder = std::filesystem::absolute(file).parent_path();
   return WriteExport(store, "key export", session.info.id, folder,
                      {file.filename().string(), Beside(file).filename().string()},
@@ -96,7 +96,7 @@ Result<std::string> ImportKeyFile(const std::filesystem::path& store, const std:
     json.at("session").get_to(session);
     SLX_ASSIGN_OR_RETURN(key, KeyFrom(json).WithContext(file.string()));
   } catch (const nlohmann::json::exception&) {
-    return Status::Integrity(file.string() + " is no key file of `stratalux-db key export`");
+    return Status::Integrity(file.string() + " is not a key file of `stratalux-db key export`");
   }
   SLX_RETURN_IF_ERROR(SessionStore::Open(store, AccessMode::kReadOnly).status());
   // Under the lock, which a forgetting takes as well: behind it nobody would look for the key again.

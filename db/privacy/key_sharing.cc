@@ -68,7 +68,7 @@ Result<SharedKeys> ShareKeys(const fs::path& store_folder, const std::optional<R
   }
   if (readers.empty())
     return Status::Usage(store_folder.string() +
-                         " has no reader: `stratalux-db key share PUBLIC`, with the public key of one");
+                         " has no reader: run `stratalux-db key share PUBLIC` with the public key of one");
   SLX_ASSIGN_OR_RETURN(auto all, store.ListSessions());
   const auto sessions = Encrypted(std::move(all));
   SharedKeys shared;
@@ -79,8 +79,8 @@ Result<SharedKeys> ShareKeys(const fs::path& store_folder, const std::optional<R
     const auto lock = WriteLock::Take(store_folder);
     if (!lock.ok())
       return lock.status().WithContext(std::to_string(first) + " of " + std::to_string(sessions.size()) +
-                                       " sessions are done, and new ones are sealed as they begin; given again, `key"
-                                       " share` goes on");
+                                       " sessions are done, and new ones are sealed as they begin; run again, `key"
+                                       " share` continues");
     for (size_t i = first; i < std::min(first + kSessionsAtATime, sessions.size()); ++i)
       SLX_RETURN_IF_ERROR(sharing.Seal(sessions[i]));
   }

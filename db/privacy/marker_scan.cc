@@ -92,7 +92,7 @@ Result<std::vector<MarkerScan::Hit>> MarkerScan::Scan(const std::filesystem::pat
   size_t kept = 0;  // bytes of the block before, in which a marker may have started
   int64_t offset = 0;
   while (true) {
-    if (goes_on && !goes_on()) return Status(StatusCode::kTryAgain, "the search of " + file.string() + " was ended");
+    if (goes_on && !goes_on()) return Status(StatusCode::kTryAgain, "the search of " + file.string() + " was stopped");
     const auto filled = ReadBlock(fd, block, kept, offset);
     if (!filled.ok()) return filled.status().WithContext(file.string());
     const bool last = *filled < block.size();

@@ -17,7 +17,7 @@ constexpr const char* kTorn = ".new";  // what ReplaceFile had not yet renamed
 constexpr const char* kLock = "kiosk.lock";
 
 std::string TakenText(const fs::path& store) {
-  return "another kiosk serves " + store.string() + "; one store, one kiosk";
+  return "another kiosk serves " + store.string() + "; a store can have only one kiosk";
 }
 
 fs::path Folder(const fs::path& store) { return store / "visits"; }

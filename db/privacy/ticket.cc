@@ -52,7 +52,7 @@ Result<std::string> VisitorOfTicket(const std::string& code) {
     if (c != '-' && c != ' ') symbols += Canonical(c);
   if (symbols.size() != kDrawn + 1) return NoTicket("has " + std::to_string(symbols.size()) + " symbols");
   for (const char c : symbols)
-    if (kSymbols.substr(0, kBase).find(c) == std::string_view::npos) return NoTicket("has a symbol that none has");
+    if (kSymbols.substr(0, kBase).find(c) == std::string_view::npos) return NoTicket("has a symbol that no code has");
   if (kSymbols[CheckOf(std::string_view(symbols).substr(0, kDrawn))] != symbols.back())
     return NoTicket("is mistyped: its last symbol does not agree with the others");
   std::string visitor = "t-";

@@ -29,7 +29,8 @@ Status CheckChoices(const FrameHeader& h) {
       {"codec", h.codec, static_cast<uint32_t>(Codec::kRaw8), static_cast<uint32_t>(Codec::kDelta)},
       {"cipher", h.cipher, 0, kCipherXChaCha20Poly1305}};
   for (const Choice& c : choices) {
-    if (c.value < c.lowest) return Status::Integrity(std::string(c.name) + " " + std::to_string(c.value) + " is none");
+    if (c.value < c.lowest)
+      return Status::Integrity(std::string(c.name) + " " + std::to_string(c.value) + " does not exist");
     if (c.value > c.highest)
       return Status(StatusCode::kNewerSchema, std::string(c.name) + " " + std::to_string(c.value) +
                                                   " is newer than this program; use a newer stratalux");
@@ -53,12 +54,13 @@ Status CheckNumbers(const FrameHeader& h) {
                              {"crop's column", h.crop_x, 0},
                              {"crop's row", h.crop_y, 0}};
   for (const Lowest& i : integers)
-    if (i.value < i.lowest) return Status::Integrity(std::string(i.name) + " " + std::to_string(i.value) + " is none");
-  if (h.frame > kHighestFrame) return Status::Integrity("its number is none");  // sums with it stay sums
+    if (i.value < i.lowest)
+      return Status::Integrity(std::string(i.name) + " " + std::to_string(i.value) + " is out of range");
+  if (h.frame > kHighestFrame) return Status::Integrity("its number is out of range");  // sums with it stay sums
   const std::pair<const char*, double> reals[] = {{"exposure", h.exposure_ms}, {"gain", h.gain}, {"mean", h.mean_dn}};
   for (const auto& [name, value] : reals)
-    if (!std::isfinite(value)) return Status::Integrity(std::string(name) + " is no finite number");
-  if (h.exposure_ms < 0.0) return Status::Integrity("exposure " + std::to_string(h.exposure_ms) + " ms is none");
+    if (!std::isfinite(value)) return Status::Integrity(std::string(name) + " is not a finite number");
+  if (h.exposure_ms < 0.0) return Status::Integrity("exposure " + std::to_string(h.exposure_ms) + " ms is negative");
   return Status::Ok();
 }
 
@@ -75,8 +77,8 @@ bool IsZero(const uint8_t (&bytes)[N]) {
 }
 
 Status CheckTexts(const FrameHeader& h, RecordKind kind) {
-  if (!IsText(h.pattern)) return Status::Integrity("pattern is no text that ends");
-  if (!IsText(h.retake_cause)) return Status::Integrity("cause of the retake is no text that ends");
+  if (!IsText(h.pattern)) return Status::Integrity("pattern is not a terminated text");
+  if (!IsText(h.retake_cause)) return Status::Integrity("cause of the retake is not a terminated text");
   if (h.cipher == 0 && !(IsZero(h.key_id) && IsZero(h.nonce)))
     return Status::Integrity("a key is named, but no cipher");
   if (kind == RecordKind::kTruthMap) return Status::Ok();

@@ -66,7 +66,7 @@ Status CheckPixels(const FrameHeader& header, const Image<uint16_t>& image, cons
   if (HashPixels(static_cast<PixelFormat>(header.format), image.pixels(), key) == PixelHashOf(header))
     return Status::Ok();
   return Status::Integrity("the pixels of frame " + std::to_string(header.frame) +
-                           " are not those that its header's pixel hash speaks of");
+                           " do not match the pixel hash in its header");
 }
 
 }  // namespace stratalux::db

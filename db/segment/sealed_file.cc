@@ -153,7 +153,7 @@ Status FileSeal::RequireKey() {
   if (sodium_init() < 0) return Status::Failed("libsodium finds no source of random numbers");
   KeyId id{};
   if (sodium_hex2bin(id.data(), id.size(), key_id_.data(), key_id_.size(), nullptr, nullptr, nullptr) != 0)
-    return Status::Integrity("session " + session_id_ + ": '" + key_id_ + "' is no id of a key");
+    return Status::Integrity("session " + session_id_ + ": '" + key_id_ + "' is not a key id");
   SLX_ASSIGN_OR_RETURN(const SessionKey session, FindKeyOf(store_, session_id_, id));
   auto keys = std::make_shared<Keys>();
   for (const auto& [number, key] : {std::pair(kPieceKey, &keys->piece), {kNonceKey, &keys->nonce}})
@@ -165,7 +165,7 @@ Status FileSeal::RequireKey() {
 Status FileSeal::Seal(const fs::path& plain, const std::string& place, const fs::path& sealed) {
   SLX_RETURN_IF_ERROR(RequireKey());
   if (place.empty() || place.size() > kMostPlaceBytes)
-    return Status::Usage("'" + place + "' is no place of a file of session " + session_id_);
+    return Status::Usage("'" + place + "' is not the place of a file of session " + session_id_);
   const UniqueFd from(open(plain.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW));
   struct stat facts {};
   if (!from.ok() || fstat(from.get(), &facts) != 0) return Cannot("read", plain);
@@ -207,16 +207,17 @@ namespace {
 Status CheckSaid(const OpenSealed& sealed, const fs::path& file, const std::string& key_id,
                  const std::set<std::string>& places) {
   if (KeyIdText(sealed.header) != key_id)
-    return Status::Integrity(file.string() + " is sealed under another key than its session's: a file of another one");
+    return Status::Integrity(file.string() +
+                             " is sealed with a key other than its session's: it is another session's file");
   if (!places.contains(sealed.place))
-    return Status::Integrity(file.string() + " was sealed as " + sealed.place + ": it was put there by another");
+    return Status::Integrity(file.string() + " was sealed as " + sealed.place + ": it was put there by someone else");
   struct stat facts {};
   if (fstat(sealed.fd.get(), &facts) != 0) return Cannot("read", file);
   // A length of 2^64 would overflow into a small one.
   const auto there = static_cast<uint64_t>(facts.st_size);
   if (sealed.header.plain_bytes > there || StoredBytes(sealed.header) != there)
     return Status::Integrity(file.string() + " has " + std::to_string(there) +
-                             " bytes: not what its header speaks of; it was cut off, or changed");
+                             " bytes, not as many as its header says; it was cut off or changed");
   return Status::Ok();
 }
 
@@ -242,8 +243,8 @@ Status OpenPieces(const OpenSealed& sealed, const fs::path& file, const std::str
     if (there < size || crypto_aead_xchacha20poly1305_ietf_decrypt(
                             plain.data(), &opened, nullptr, stored.data(), size, BytesOf(data), data.size(),
                             NonceOf(sealed.header, piece).data(), key.bytes.data()) != 0)
-      return Status::Integrity(file.string() + " does not open with its session's key: it was changed, at bytes " +
-                               std::to_string(piece * kSealedPieceBytes) + " and on of what it holds");
+      return Status::Integrity(file.string() + " cannot be opened with its session's key: it was changed, at byte " +
+                               std::to_string(piece * kSealedPieceBytes) + " or later of what it holds");
     SLX_RETURN_IF_ERROR(use(std::span<const uint8_t>(plain).first(opened)));
   }
   return Status::Ok();

@@ -60,7 +60,7 @@ Result<SegmentReader> SegmentReader::OpenDamaged(const std::filesystem::path& fi
   }
   struct stat info {};
   if (fstat(reader.fd_, &info) != 0) return Status::Failed("cannot read " + reader.file_ + ": " + std::strerror(errno));
-  if (!S_ISREG(info.st_mode)) return Status::Integrity(reader.file_ + " is no regular file");
+  if (!S_ISREG(info.st_mode)) return Status::Integrity(reader.file_ + " is not a regular file");
   reader.size_ = info.st_size;
   FileHeader header{};
   *damage = reader.ReadAt(0, &header, sizeof header);

@@ -40,7 +40,7 @@ class Scanner {
       const auto header = reader_.ReadHeader(f.offset);
       if (!header.ok() || std::memcmp(&*header, &f.header, sizeof f.header) == 0) continue;
       scan_.findings.push_back("the footer disagrees with the header of frame " + std::to_string(header->frame) +
-                               At(f.offset) + "; the headers were taken");
+                               At(f.offset) + "; the headers were used");
       return false;
     }
     return true;
@@ -55,7 +55,7 @@ class Scanner {
       }
       const std::string what = "the header of frame " + std::to_string(f.header.frame) + " is damaged";
       if (IsWhole(f)) {
-        scan_.findings.push_back(what + At(f.offset) + "; its copy in the footer was taken");
+        scan_.findings.push_back(what + At(f.offset) + "; its copy in the footer was used");
         scan_.frames.push_back(f);
         continue;
       }
@@ -113,7 +113,7 @@ class Scanner {
       if (!header.ok() || !IsKnown({*header, k.offset})) continue;
       scan_.frames.push_back({*header, k.offset});
       scan_.findings.push_back("frame " + std::to_string(k.frame) + At(k.offset) +
-                               " was found by the old index alone: a frame before it claims its bytes");
+                               " was found only by the old index: a frame before it claims its bytes");
     }
     std::sort(scan_.frames.begin(), scan_.frames.end(),
               [](const SegmentFrame& a, const SegmentFrame& b) { return a.offset < b.offset; });
@@ -144,7 +144,7 @@ class Scanner {
       aside(footer_.first, "no whole frame");
       end = footer_.second;
     }
-    aside(reader_.size(), footer_.second > 0 ? "bytes behind the end of the segment"
+    aside(reader_.size(), footer_.second > 0 ? "bytes after the end of the segment"
                           : disowned         ? "a footer that disagrees with its frames"
                                              : "no whole frame and no whole footer");
   }

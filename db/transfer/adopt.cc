@@ -53,7 +53,7 @@ Status VerifyListed(const fs::path& folder, const ManifestContents& contents) {
       return Status::Integrity((folder / "manifest.json").string() + " names " + listed.name + ", which is not there");
     SLX_ASSIGN_OR_RETURN(const auto there, DescribeFile(folder, listed.name));
     if (there.bytes != listed.bytes || there.hash != listed.hash)
-      return Status::Integrity((folder / listed.name).string() + " is not the file that the manifest speaks of");
+      return Status::Integrity((folder / listed.name).string() + " is not the file that the manifest describes");
   }
   return Status::Ok();
 }
@@ -74,7 +74,7 @@ Result<int64_t> VerifyFiles(const fs::path& folder, const fs::path* keys_of) {
   if (fs::exists(folder / "truth.seg", error))
     SLX_RETURN_IF_ERROR(VerifySegment(folder / "truth.seg", info, keys_of, frames));
   if (frames != contents.frames)
-    return Status::Integrity((folder / "manifest.json").string() + " speaks of " + std::to_string(contents.frames) +
+    return Status::Integrity((folder / "manifest.json").string() + " lists " + std::to_string(contents.frames) +
                              " frames, its segments hold " + std::to_string(frames));
   SLX_RETURN_IF_ERROR(VerifyListed(folder, contents));
   return frames;
@@ -125,7 +125,7 @@ Status AdoptFolder(const fs::path& store, const fs::path& folder, const std::str
   SLX_ASSIGN_OR_RETURN(const SessionInfo info, ReadManifest(folder));
   const fs::path target = store / "sessions" / info.id;
   if (info.id.empty() || info.id.find('/') != std::string::npos || info.id.starts_with('.'))
-    return Status::Integrity((folder / "manifest.json").string() + ": '" + info.id + "' is no session id");
+    return Status::Integrity((folder / "manifest.json").string() + ": '" + info.id + "' is not a session id");
   SLX_ASSIGN_OR_RETURN(const auto lock, WriteLock::Take(store));  // a reindex would not see the new row
   // Under the lock, which a forgetting takes as well: none can begin between the answer and the move.
   SLX_RETURN_IF_ERROR(RefuseForgotten(store, info.id));

@@ -57,8 +57,7 @@ Status CopyKeys(const fs::path& store, const BackupOptions& options) {
     return Status::Usage("--keys " + options.keys.string() + " lies within " + data.string() +
                          ": keys beside the data protect nothing, and are not destroyed when somebody is forgotten;"
                          " choose another place");
-  if (fs::exists(options.keys, error))
-    return Status::Usage(options.keys.string() + " is there already; remove it first");
+  if (fs::exists(options.keys, error)) return Status::Usage(options.keys.string() + " already exists; remove it first");
   if (!fs::exists(store / "keys.sqlite", error))
     return Status::NotFound("the store has no keys.sqlite: none of its sessions is encrypted");
   return Snapshot(store / "keys.sqlite", options.keys);
@@ -242,7 +241,7 @@ Result<BackupReport> Backup(const fs::path& store, const BackupOptions& options,
   const Status made = BackupRun(store, options.to, report, logger).Run(options.scrub);
   if (!made.ok())
     return made.WithContext("the backup was not finished; what was in " + options.to.string() +
-                            " before stays valid, and the next run goes on");
+                            " before stays valid, and the next run continues");
   return report;
 }
 

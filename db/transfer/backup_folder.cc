@@ -153,7 +153,7 @@ Result<std::vector<std::string>> BackupFolder::FilesOf(const std::string& id) co
     } else if (entry.depth() == 0 && IsSealedKeyName(entry->path().filename().string())) {
       continue;  // no key goes into a backup, not for a reader either: it outlives what is forgotten
     } else if (entry->is_symlink(error)) {
-      return Status::Integrity(entry->path().string() + " is a symbolic link; a session holds files of its own");
+      return Status::Integrity(entry->path().string() + " is a symbolic link; a session must hold its own files");
     } else if (entry->is_regular_file(error)) {
       files.push_back(entry->path().lexically_relative(store_).string());
     }
@@ -263,7 +263,7 @@ Status BackupFolder::Mend(const std::string& path, ListedFile& file) {
   if (copied.ok()) {
     report_->mended.push_back(path);
   } else {
-    report_->problems.push_back((to_ / path).string() + " has rotted in the backup, and the store has no good one: " +
+    report_->problems.push_back((to_ / path).string() + " is damaged in the backup, and the store has no good one: " +
                                 copied.status().message());
   }
   return Status::Ok();

@@ -52,7 +52,7 @@ Status LeaveOutFits(const fs::path& folder, LeftOut& out) {
     if (!fs::exists(fit / kFitRecordFile, error)) {
       if (ReadFitRecord(fit, session).ok()) continue;  // of an older program, which wrote no record
       SLX_RETURN_IF_ERROR(Remove(fit));
-      out.notes.push_back("fit " + session + "/" + fit.filename().string() + " was not taken: it has no " +
+      out.notes.push_back("fit " + session + "/" + fit.filename().string() + " was not fetched: it has no " +
                           kFitRecordFile + " yet, or has lost it");
       continue;
     }
@@ -60,7 +60,7 @@ Status LeaveOutFits(const fs::path& folder, LeftOut& out) {
     if (proven.ok()) continue;
     SLX_RETURN_IF_ERROR(Remove(fit));
     out.problems.push_back("fit " + session + "/" + fit.filename().string() +
-                           " was not taken: " + proven.status().message());
+                           " was not fetched: " + proven.status().message());
   }
   return Status::Ok();
 }
@@ -74,7 +74,7 @@ Status LeaveOutKeys(const fs::path& folder, LeftOut& out) {
     if (header.ok() && header->session == session && SealedKeyFile(folder, header->reader) == file) continue;
     SLX_RETURN_IF_ERROR(WipeFile(file));
     out.problems.push_back(
-        "session " + session + ": a sealed key was not taken: " +
+        "session " + session + ": a sealed key was not fetched: " +
         (header.ok() ? file.string() + " is of another session or reader" : header.status().message()));
   }
   return Status::Ok();

@@ -30,7 +30,7 @@ Status Trouble(const char* what, const fs::path& file) {
 Status Unreadable(const fs::path& file) {
   if (errno == ENOENT) return Status::NotFound(file.string() + " is not there");
   return Status::Integrity("cannot read " + file.string() + ": " + std::strerror(errno) +
-                           "; look at its disk and permissions");
+                           "; check its disk and permissions");
 }
 
 Result<std::string> HashAndHand(const fs::path& file, const std::function<Status(std::span<const uint8_t>)>& hand) {

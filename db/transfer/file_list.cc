@@ -51,7 +51,7 @@ Result<FileList> ReadFileList(const std::filesystem::path& folder) {
                                 ? folder.string() +
                                       " holds a backup that was never finished; run `stratalux-db backup"
                                       " --to` once more"
-                                : folder.string() + " is no backup (it has no backup.json)");
+                                : folder.string() + " is not a backup (it has no backup.json)");
   SLX_ASSIGN_OR_RETURN(const std::string text, ReadFile(file, kAnyFileSize));  // a line a file of the store
   try {
     const Json json = Json::parse(text);

@@ -96,8 +96,8 @@ auto Puller::ForTheSource(const Wait& wait) {
 bool Puller::Claim(const std::string& id) {
   if (shared_.claimed.insert(id).second) return true;
   report_.notes.push_back("session " + id +
-                          " comes from another source now; what this one has more of it, the next"
-                          " pull takes");
+                          " comes from another source now; the next pull fetches what else this"
+                          " one has of it");
   return false;
 }
 
@@ -140,7 +140,8 @@ Status Puller::Obey() {
   request.sessions = still_here;
   SLX_ASSIGN_OR_RETURN(const ForgetReport gone, Forget(store_, request, logger_));
   for (const ForgottenSession& session : gone.sessions) report_.obeyed.push_back(session.id);
-  for (const std::string& leftover : gone.leftovers) report_.problems.push_back("forgotten, but left: " + leftover);
+  for (const std::string& leftover : gone.leftovers)
+    report_.problems.push_back("forgotten, but still there: " + leftover);
   for (const std::string& id : still_here) shared_.here.erase(id);
   return Status::Ok();
 }
@@ -193,7 +194,7 @@ Status Puller::FetchSession(const std::string& id) {
 Status Puller::SayDoubts(const std::string& id) {
   SLX_ASSIGN_OR_RETURN(const auto doubts, DoubtsAbout(store_, id));
   for (const std::string& doubt : doubts)
-    report_.problems.push_back("session " + id + " was taken, and verify says: " + doubt);
+    report_.problems.push_back("session " + id + " was fetched, but verify says: " + doubt);
   return Status::Ok();
 }
 
@@ -216,7 +217,7 @@ Status Puller::TakeSession(const Offer& offer) {
   }
   // A damaged copy would look finished to rsync for good. One of a later version waits for a later program.
   if (taken.code() != StatusCode::kNewerSchema) SLX_RETURN_IF_ERROR(WipeFolder(IncomingFolder(store_, offer.id)));
-  report_.problems.push_back("session " + offer.id + " was not taken: " + taken.message());
+  report_.problems.push_back("session " + offer.id + " was not fetched: " + taken.message());
   return Status::Ok();
 }
 
@@ -226,7 +227,7 @@ Status Puller::TakeKeys(const Offer& offer) {
     const auto taken = AdoptSealedKey(store_, offer.id, file);
     if (IsTroubleOfAll(taken.status())) return taken.status();
     if (!taken.ok()) {
-      report_.problems.push_back("session " + offer.id + ": a sealed key was not taken: " + taken.status().message());
+      report_.problems.push_back("session " + offer.id + ": a sealed key was not fetched: " + taken.status().message());
       std::error_code error;
       fs::remove(file, error);  // fetched again, should the damage be ours
     } else if (*taken) {
@@ -260,9 +261,9 @@ Status Puller::TakeFits(const Offer& offer) {
     if (taken.ok()) {
       if (*taken) report_.fits.push_back(name);
     } else if (taken.status().code() == StatusCode::kUsage) {  // consent
-      report_.notes.push_back("fit " + name + " was not taken: " + taken.status().message());
+      report_.notes.push_back("fit " + name + " was not fetched: " + taken.status().message());
     } else {
-      report_.problems.push_back("fit " + name + " was not taken: " + taken.status().message());
+      report_.problems.push_back("fit " + name + " was not fetched: " + taken.status().message());
     }
   }
   return dry() ? Status::Ok() : WipeFolder(IncomingFits(store_, offer.id));
@@ -272,7 +273,7 @@ bool Puller::InTime() const { return !deadline_ || std::chrono::steady_clock::no
 
 Status Puller::OutOfTime(const std::string& how_far) const {
   return Status(StatusCode::kTryAgain, "the limit of " + std::to_string(options_.limit.count()) +
-                                           " s is over: " + how_far + ", the next pull goes on");
+                                           " s is over: " + how_far + ", the next pull continues");
 }
 
 Status Puller::Run() {
@@ -312,7 +313,7 @@ constexpr size_t kMostSources = 256;  // a thread and an rsync each
 
 Status CheckSource(const std::string& from) {
   if (from.empty()) return Status::Usage("--from is empty; give user@host:/path/of/the/store or a local folder");
-  if (from.starts_with('-')) return Status::Usage("--from " + from + ": a source begins with no dash");
+  if (from.starts_with('-')) return Status::Usage("--from " + from + ": a source must not begin with a dash");
   return Status::Ok();
 }
 

@@ -47,14 +47,15 @@ Status CheckLedger(const fs::path& from, const RestoreOptions& options) {
   if (options.ledger.empty() && options.into == RestoreInto::kMerge) return Status::Ok();  // the store has its own
   if (options.ledger.empty())
     return Status::Usage(
-        "a restore into a new store needs the newest ledger, so that nobody returns who was forgotten after the backup"
+        "a restore into a new store needs the newest ledger, so that nobody comes back who was forgotten after the "
+        "backup"
         " was made: --ledger PATH (the old store, its ledger folder, another store that pulled from it, or a newer"
-        " backup), or --ledger none where none is left, which is logged");
+        " backup), or --ledger none if none is left, which is logged");
   if (LiesIn(options.ledger, from))
     return Status::Usage("--ledger " + options.ledger +
-                         " is the backup that is restored; name a newer ledger, or none where there is none");
+                         " is the backup being restored; name a newer ledger, or none if there is none");
   if (PlaceOfLedger(options.ledger) == LedgerPlace::kNone)
-    return Status::Usage("--ledger " + options.ledger + ": neither a store, nor a backup, nor a folder of chains");
+    return Status::Usage("--ledger " + options.ledger + ": neither a store, nor a backup, nor a ledger folder");
   return Status::Ok();
 }
 
@@ -261,8 +262,9 @@ Result<RestoreReport> Restore(const fs::path& from, const fs::path& store, const
   SLX_RETURN_IF_ERROR(CheckLedger(from, options));
   RestoreReport report;
   if (!list.intact)
-    report.problems.push_back((from / "backup.json").string() +
-                              " does not match its own hash: what it still lists comes, but it may lack files");
+    report.problems.push_back(
+        (from / "backup.json").string() +
+        " does not match its own hash: what it still lists is restored, but files may be missing");
   Restorer restorer(from, store, list, report);
   const bool merge = options.into == RestoreInto::kMerge;
   if (merge) {

@@ -53,7 +53,7 @@ Status DropFitsWithoutRecord(Connection& connection, const fs::path& store, Rest
     SLX_RETURN_IF_ERROR(figures.Bind(1, fit.number).Bind(2, fit.fit).Run());
     SLX_RETURN_IF_ERROR(row.Bind(1, fit.number).Bind(2, fit.fit).Run());
     report.problems.push_back("fit " + fit.fit + " of session " + fit.session +
-                              " was not restored: its fit.json did not come");
+                              " was not restored: its fit.json is missing");
   }
   return transaction.Commit();
 }

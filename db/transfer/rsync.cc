@@ -12,12 +12,12 @@ namespace {
 // What rsync's exit codes (and ssh's 255) leave to do. The program's own words come before it.
 std::string Remedy(int code, const std::string& source) {
   const std::string host = source.substr(0, source.find(':'));
-  const std::string ssh = "ssh must reach it without a question: run `ssh " + host +
-                          " true` once by hand to accept its host key, `ssh-copy-id " + host + "` to log in by key";
+  const std::string ssh = "ssh must connect without asking anything: run `ssh " + host +
+                          " true` once by hand to accept its host key, `ssh-copy-id " + host + "` to log in with a key";
   const bool is_remote = host.size() < source.size() && host.find('/') == std::string::npos;
   switch (code) {
     case 11:
-      return "look at the free space and the permissions of the store";
+      return "check the free space and the permissions of the store";
     case 12:  // the other side ended: before it had said a word that may be ssh, whose 255 comes too late at times
       if (is_remote) return ssh + "; and is rsync installed on both sides? apt-get install rsync";
       [[fallthrough]];
@@ -25,11 +25,11 @@ std::string Remedy(int code, const std::string& source) {
       return "is rsync installed on both sides? apt-get install rsync";
     case 30:
     case 35:
-      return "the other side did not answer in time; look at the network and run pull again to go on";
+      return "the other side did not answer in time; check the network and run pull again to continue";
     case 255:
       return ssh;
     default:
-      return "run pull again to go on";
+      return "run pull again to continue";
   }
 }
 

@@ -76,7 +76,7 @@ void AddV4l2(const CameraWiring& wiring, DeviceList& list) {
     if (!Names(wiring, camera.node)) continue;
     if (!wired.device.empty()) {
       wired.usable =
-          Status::Usage(wired.device + " and " + camera.node.path + " both fit; give `device` or `bus`, too");
+          Status::Usage(wired.device + " and " + camera.node.path + " both match; give `device` or `bus` as well");
       break;
     }
     wired.device = camera.node.path;
@@ -85,7 +85,7 @@ void AddV4l2(const CameraWiring& wiring, DeviceList& list) {
   if (wired.device.empty())
     wired.usable =
         RefusedAs(list, wiring.device)
-            .value_or(Status::NotFound("no V4L2 camera here fits; check its cable, or name one of the list"));
+            .value_or(Status::NotFound("no V4L2 camera here matches; check its cable, or name one from the list"));
   list.wired.push_back(std::move(wired));
 }
 
@@ -106,7 +106,7 @@ void AddLibcamera(const CameraWiring& wiring, DeviceList& list) {
     const bool there = camera != list.libcamera.end();
     if (there) wired.device = camera->id;
     wired.usable = there ? FormatOffered(wiring, *camera)
-                         : Status::NotFound("libcamera has no such camera; check its cable, or name one of the list");
+                         : Status::NotFound("libcamera has no such camera; check its cable, or name one from the list");
   }
   list.wired.push_back(std::move(wired));
 }
@@ -121,7 +121,7 @@ void AddLine(const std::string& key, const LineAddress& at, DeviceList& list) {
       if (chip.path != found->chip_path || !chip.lines[found->offset].in_use) continue;
       const std::string& consumer = chip.lines[found->offset].consumer;
       wired.usable = Status::Busy("in use by " + (consumer.empty() ? "a driver of the board" : consumer) +
-                                  "; a rig that runs has its lines, else end that program or choose another line");
+                                  "; a running rig holds its lines, otherwise end that program or choose another line");
     }
   }
   list.wired.push_back(std::move(wired));
@@ -167,13 +167,13 @@ void AddDisplays(const RigConfig& config, DeviceList& list) {
 }  // namespace
 
 RefusedDevice Refusal(const std::string& path, int error) {
-  RefusedDevice refused{path, std::strerror(error), "check that its driver is loaded (dmesg), and plug it in anew"};
+  RefusedDevice refused{path, std::strerror(error), "check that its driver is loaded (dmesg), and plug it in again"};
   if (error == EACCES || error == EPERM)
     refused.remedy =
-        "run this as the rig's account and mark the device as the rig's by a udev rule "
+        "run this as the rig's account and give the device to the rig with a udev rule "
         "(systemd/README.md), or join the group " +
         GroupOf(path);
-  if (error == EBUSY) refused.remedy = "another program has it for itself alone; end that program";
+  if (error == EBUSY) refused.remedy = "another program has it for its exclusive use; end that program";
   return refused;
 }
 

@@ -145,8 +145,8 @@ std::string ChipText(const DeviceList& list, const GpioChip& chip) {
 std::string CardText(const DeviceList& list, const KmsCard& card) {
   std::string text = "  " + card.path + " (" + card.driver + ")";
   if (!card.plain_buffers) text += ", shows no plain pictures";
-  text +=
-      "\n" + Sentence("    ", card.mastered ? "its screens are held by " + card.master : "nobody holds its screens");
+  text += "\n" +
+          Sentence("    ", card.mastered ? "its screens are held by " + card.master : "no program holds its screens");
   if (card.connectors.empty()) text += "    no connectors\n";
   for (const KmsConnector& connector : card.connectors) {
     std::vector<std::string> modes;
@@ -160,7 +160,7 @@ std::string CardText(const DeviceList& list, const KmsCard& card) {
 }
 
 std::string RefusedText(const DeviceList& list) {
-  std::string text = list.refused.empty() ? "" : "Could not be looked at\n";
+  std::string text = list.refused.empty() ? "" : "Could not be examined\n";
   for (const RefusedDevice& refused : list.refused)
     text += Sentence("  " + refused.path + "  ", refused.reason + ": " + refused.remedy);
   return text;
@@ -173,9 +173,9 @@ std::string MissingText(const DeviceList& list) {
     if (wired.device.empty()) text += Sentence("  " + wired.key + "  ", wired.wanted + ": " + wired.usable.message());
   if (list.configuration.empty()) return "";
   if (!list.unreadable.empty())
-    return "Not held against " + list.configuration + ", which cannot be read\n" + Sentence("  ", list.unreadable);
+    return "Not compared with " + list.configuration + ", which cannot be read\n" + Sentence("  ", list.unreadable);
   if (text.empty()) return "Everything that " + list.configuration + " names is here\n";
-  return "Named in " + list.configuration + " and not here\n" + text;
+  return "Named in " + list.configuration + " but not here\n" + text;
 }
 
 Json V4l2Json(const V4l2Camera& camera) {
@@ -279,7 +279,7 @@ Result<DeviceList> DevicesBeside(const std::string& config_file, ConfigurationFr
 std::string DevicesAsText(const DeviceList& list) {
   std::string text = "Cameras (V4L2; [camera] backend = \"v4l2\")\n";
   for (const V4l2Camera& camera : list.v4l2) text += V4l2Text(list, camera);
-  if (list.v4l2.empty()) text += "  none: check cable and power, and what dmesg says of its driver\n";
+  if (list.v4l2.empty()) text += "  none: check cable and power, and what dmesg says about its driver\n";
   text += "Cameras (libcamera; [camera] backend = \"libcamera\", device = the id)\n";
   for (const LibcameraDevice& camera : list.libcamera) text += LibcameraText(list, camera);
   if (!list.libcamera_asked.ok())

@@ -32,7 +32,7 @@ inline constexpr const char* kCaptureExamples = R"(Examples:
   stratalux-rig capture --kind dark --store store
   stratalux-rig capture --config rig.toml --store store --calibration latest
 
-Exit codes: 0 complete, 1 failed, 2 usage, 3 degraded, 5 store busy, 6 store damaged, 7 store of a newer program.)";
+Exit codes: 0 complete, 1 failed, 2 usage, 3 degraded, 5 store busy, 6 store damaged, 7 store of a newer version.)";
 inline constexpr const char* kKioskExamples = R"(Examples:
   stratalux-rig kiosk --config rig.toml --store store
   printf 'start\nnot-sensitive\nrefuse\nstop\n' | stratalux-rig kiosk --simulate --store store
@@ -40,10 +40,10 @@ inline constexpr const char* kKioskExamples = R"(Examples:
       until [ -p /tmp/rig ]; do sleep 1; done; echo start > /tmp/rig
   stratalux-rig kiosk --simulate --store store --page
 
-With --page or [kiosk.page] a browser shows the screens; its address is a line of JSON on stdout. Else screens are
-lines of JSON on stdout, commands lines on stdin: start, not-sensitive, sensitive, agree SCOPES LANGUAGE
-[TEXT], refuse, leave, operator clean|out_of_order|open|selfcheck|reset, stop. SIGTERM ends it as stop does: the
-visit that runs is forgotten, lights are off. Frames are encrypted unless [store] encrypt says no.
+With --page or [kiosk.page] a browser shows the screens; its address is a line of JSON on stdout. Otherwise screens are
+lines of JSON on stdout, and commands are lines on stdin: start, not-sensitive, sensitive, agree SCOPES LANGUAGE
+[TEXT], refuse, leave, operator clean|out_of_order|open|selfcheck|reset, stop. SIGTERM ends it like stop: the
+visit in progress is forgotten, all lights are off. Frames are encrypted unless [store] encrypt = false.
 Exit codes: 0 ended, 1 the rig or the store failed, 2 usage, 3 a visit could not be forgotten, 5 a device is in use.)";
 inline constexpr const char* kSelftestExamples = R"(Examples:
   stratalux-rig selftest --config rig.toml --store store
@@ -57,7 +57,7 @@ inline constexpr const char* kDevicesExamples = R"(Examples:
   stratalux-rig devices --config rig.toml
   stratalux-rig devices --json | jq '.v4l2[].path'
 
-Takes, switches and changes nothing; a rig that runs is not disturbed. What may not be opened is listed with the reason.
+Reserves, switches and changes nothing; a running rig is not disturbed. What cannot be opened is listed with the reason.
 Exit codes: 0 the list was made, whatever is in it, 2 usage.)";
 inline constexpr const char* kPreviewExamples = R"(Examples:
   stratalux-rig preview --config rig.toml
@@ -77,9 +77,9 @@ inline constexpr const char* kSafeExamples = R"(Examples:
   stratalux-rig safe
   stratalux-rig safe --config rig.toml
 
-Goes by the lights of the rig that was opened last ($STATE_DIRECTORY or /var/lib/stratalux, lights.json) and by the
-configuration, where that can be read. Run it as the account that captures.
-Exit codes: 0 all lights are off, 1 a light could not be switched off, 2 neither tells of any light, 4 no such line or
+Switches off the lights of the rig that was opened last ($STATE_DIRECTORY or /var/lib/stratalux, lights.json) and those
+of the configuration, if it can be read. Run it as the account that captures.
+Exit codes: 0 all lights are off, 1 a light could not be switched off, 2 neither names any light, 4 no such line or
 display, 5 a running program holds a line or a display.)";
 
 }  // namespace stratalux::rig

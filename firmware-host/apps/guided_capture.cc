@@ -133,7 +133,7 @@ Result<Answer> CaptureUntilUsable(const CaptureJob& job, const SeriesOptions& se
     if (pose.attempts == series.max_attempts) break;
     if (!ask && !attempt.by_chance()) break;
     if (!ask) continue;
-    if (const Answer answer = ask(name + " again. Mend what is named above"); answer != Answer::kGo) return answer;
+    if (const Answer answer = ask(name + " again. Fix what is named above"); answer != Answer::kGo) return answer;
   }
   return Answer::kGo;
 }
@@ -191,7 +191,7 @@ Result<SeriesOutcome> CaptureSeries(const CaptureJob& job, const SeriesOptions& 
                              std::to_string(series.poses - series.first) + ")";
     if (ask) {
       const Answer answer =
-          ask(CoverageMaps(outcome) + text + ": hold the board " + PoseInstruction(pose) + ". Fix it there");
+          ask(CoverageMaps(outcome) + text + ": hold the board " + PoseInstruction(pose) + ". Fix it in place there");
       if (answer == Answer::kQuit) return outcome;
       if (answer == Answer::kBack) {
         pose = std::max(series.first, pose - 1);
@@ -252,7 +252,7 @@ std::string SeriesAsText(const SeriesOutcome& outcome, const std::string& store)
   }
   if (!outcome.finished)
     text += "the series was ended early" + (outcome.error.empty() ? "" : " (" + outcome.error + ")") +
-            "; it goes on with --pose " + std::to_string(outcome.next) + " --poses " + std::to_string(outcome.end) +
+            "; continue it with --pose " + std::to_string(outcome.next) + " --poses " + std::to_string(outcome.end) +
             "\n";
   text += CoverageMaps(outcome);
   const auto sessions = UsableSessions(outcome);

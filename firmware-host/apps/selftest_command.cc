@@ -67,7 +67,7 @@ void CheckDisk(const SelftestOptions& options, SelftestReport& report) {
   const Result<double> speed = MeasureDisk(folder, frame_bytes);
   if (!speed.ok()) {
     items.push_back({"disk", CheckState::kFailed, speed.status().message(),
-                     "give the rig's user the right to write there, or another --store"});
+                     "allow the rig's user to write there, or give another --store"});
     return;
   }
   report.disk_bytes_per_s = *speed;
@@ -76,7 +76,8 @@ void CheckDisk(const SelftestOptions& options, SelftestReport& report) {
                             Number(", the camera gives up to %.0f MB/s packed", 1e-6 * needed);
   // Half: a queue and the delta codec stand between.
   if (*speed < 0.5 * needed)
-    items.push_back({"disk", CheckState::kFailed, found, "use a faster disk for the store: the capture would wait"});
+    items.push_back(
+        {"disk", CheckState::kFailed, found, "use a faster disk for the store: the capture would have to wait for it"});
   else
     items.push_back({"disk", CheckState::kPassed, found, ""});
 }
@@ -84,7 +85,7 @@ void CheckDisk(const SelftestOptions& options, SelftestReport& report) {
 void CheckCodecs(const SelftestOptions& options, SelftestReport& report) {
   auto& items = report.rig.items;
   if (report.rig.samples.empty()) {
-    items.push_back({"codec", CheckState::kSkipped, "no frame to code", ""});
+    items.push_back({"codec", CheckState::kSkipped, "no frame to encode", ""});
     return;
   }
   std::string found;
@@ -92,7 +93,7 @@ void CheckCodecs(const SelftestOptions& options, SelftestReport& report) {
     const Result<CodecSpeed> speed = MeasureCodec(codec, report.rig);
     if (!speed.ok()) {
       items.push_back(
-          {"codec", CheckState::kFailed, speed.status().message(), "report this: the store cannot code it"});
+          {"codec", CheckState::kFailed, speed.status().message(), "report this: the store cannot encode it"});
       return;
     }
     report.codecs.push_back(*speed);
@@ -108,7 +109,7 @@ void CheckCodecs(const SelftestOptions& options, SelftestReport& report) {
 // What captures go by from now on.
 void KeepDeadlines(const SelftestOptions& options, SelftestReport& report) {
   if (!options.keep_delays) return;
-  CheckItem item = {"deadlines", CheckState::kSkipped, "a rig that fails teaches none", ""};
+  CheckItem item = {"deadlines", CheckState::kSkipped, "none are learnt from a rig that fails", ""};
   if (report.rig.delays) {
     const Result<std::string> kept = options.keep_delays(*report.rig.delays);
     item.found = DeadlinesAsText(DeadlinesFrom(*report.rig.delays, options.rig.deadline)) + "; ";

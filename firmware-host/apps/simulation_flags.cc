@@ -59,12 +59,12 @@ Result<std::optional<SimulatedRigOptions>> SimulationFrom(const SimulationFlags&
 
 std::string ComplaintOfChance(const std::string& text) {
   double rate = 0.0;
-  return ParseWhole(text, rate) && rate >= 0.0 && rate <= 1.0 ? "" : "'" + text + "' is no chance of 0 .. 1";
+  return ParseWhole(text, rate) && rate >= 0.0 && rate <= 1.0 ? "" : "'" + text + "' is not a chance of 0 .. 1";
 }
 
 std::string ComplaintOfSeed(const std::string& text) {
   uint64_t seed = 0;
-  return ParseWhole(text, seed) ? "" : "'" + text + "' is no whole number of 0 .. 2^64-1";
+  return ParseWhole(text, seed) ? "" : "'" + text + "' is not a whole number of 0 .. 2^64-1";
 }
 
 }  // namespace stratalux::rig

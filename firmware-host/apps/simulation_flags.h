@@ -60,11 +60,11 @@ void AddSimulationFlags(Command& command, SimulationFlags& flags) {
   command.add_option("--seed", flags.seed, "simulation: another seed, another face, skin and noise")
       ->check(ComplaintOfSeed)
       ->capture_default_str();
-  command.add_option("--size", flags.size, "simulation: camera mosaic, WIDTHxHEIGHT (default: 1392x1042)");
+  command.add_option("--size", flags.size, "simulation: size of the camera mosaic, WIDTHxHEIGHT (default: 1392x1042)");
   command.add_flag("--no-scattering", flags.no_scattering, "simulation: opaque matt skin (ablation)");
   command.add_flag("--no-noise", flags.no_noise, "simulation: a camera without noise");
   command.add_option("--simulate-events", flags.events,
-                     "simulation: a FIFO, made if need be, that takes what happens: start, door open, door closed, "
+                     "simulation: a FIFO, created if missing, that takes events: start, door open, door closed, "
                      "estop press, estop release, unplug camera, plug camera, unplug lines, plug lines");
 }
 
@@ -77,7 +77,7 @@ template <typename Command>
     const auto* given = command.get_option(name);
     if (given->count() == 0) continue;
     const std::string value = given->get_expected_max() > 0 ? " " + given->results().front() : "";
-    return Status::Usage(name + value + ": only the simulated rig has it; add --simulate, or leave it away");
+    return Status::Usage(name + value + ": only the simulated rig has it; add --simulate, or leave it out");
   }
   return Status::Ok();
 }

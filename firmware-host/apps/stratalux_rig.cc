@@ -133,7 +133,7 @@ Result<CaptureJob> CaptureFrom(const Flags& flags) {
   job.choose_exposure = ChoosesExposure(flags);
   job.on_start = flags.on_start;
   if (job.choose_exposure && config.plan.kind != SessionKind::kVisitor)
-    return Status::Usage("--exposure auto: only a visitor's exposure is chosen; give it in ms");
+    return Status::Usage("--exposure auto: only a visitor's exposure can be chosen automatically; give it in ms");
   request.calibration = config.calibration;
   request.visitor = flags.visitor;
   request.visit = flags.visit;
@@ -153,7 +153,7 @@ Result<CaptureJob> CaptureFrom(const Flags& flags) {
 Status CheckOnStart(const Flags& flags, const CaptureJob& job) {
   if (!flags.on_start) return Status::Ok();
   if (job.request.plan.kind == SessionKind::kCalibration)
-    return Status::Usage("--on-start: of other kinds; the poses of --kind calibration are asked for on the terminal");
+    return Status::Usage("--on-start: not for --kind calibration, whose poses are asked for on the terminal");
   if (job.station.simulated && flags.simulation.events.empty())
     return Status::Usage("--on-start: the simulated rig has no button; --simulate-events PATH takes `start`");
   if (!job.station.simulated && !job.station.config.gpio.start)
@@ -164,12 +164,13 @@ Status CheckOnStart(const Flags& flags, const CaptureJob& job) {
 // The poses of a series; nullopt: a single capture. A simulated board has the poses that its scene lists.
 Result<std::optional<SeriesOptions>> SeriesFrom(const Flags& flags, const CaptureJob& job) {
   if (job.request.plan.kind != SessionKind::kCalibration) {
-    if (flags.poses > 0) return Status::Usage("--poses counts the board's poses of --kind calibration");
+    if (flags.poses > 0)
+      return Status::Usage("--poses is the number of the board's poses; only --kind calibration has them");
     return std::optional<SeriesOptions>();
   }
   if (flags.poses == 0 && flags.board_pose >= 0) return std::optional<SeriesOptions>();
   if (!flags.simulation.events.empty())
-    return Status::Usage("--simulate-events: each pose of a series is a rig of its own; give --pose for a single one");
+    return Status::Usage("--simulate-events: each pose of a series runs on its own rig; give --pose for a single pose");
   SeriesOptions series;
   series.first = std::max(0, flags.board_pose);
   series.poses = flags.poses > 0 ? flags.poses : kAdvisedPoses;
@@ -183,7 +184,7 @@ Result<std::optional<SeriesOptions>> SeriesFrom(const Flags& flags, const Captur
     if (flags.poses == 0) series.poses = listed;
   }
   if (series.first >= series.poses)
-    return Status::Usage("--pose " + std::to_string(series.first) + " lies behind the last of --poses " +
+    return Status::Usage("--pose " + std::to_string(series.first) + " is beyond the last of --poses " +
                          std::to_string(series.poses) + ", which count from 0");
   return std::optional(series);
 }
@@ -292,8 +293,8 @@ int RunSafe(const Flags& flags) {
   }
   Status off;
   if (last.ok()) off = TakeLights(*last);
-  if (!config.ok()) Report(config.status().WithContext("not looked at"));
-  if (!last.ok() && last.status().code() != StatusCode::kNotFound) Report(last.status().WithContext("not looked at"));
+  if (!config.ok()) Report(config.status().WithContext("not checked"));
+  if (!last.ok() && last.status().code() != StatusCode::kNotFound) Report(last.status().WithContext("not checked"));
   if (config.ok() && !(last.ok() && *last == LightsOf(*config))) {
     const Status wired = TakeLights(LightsOf(*config));
     // A configuration without lights says nothing against those that were taken, nor the other way round.
@@ -317,9 +318,10 @@ void AddPlanFlags(CLI::App& command, Flags& flags) {
                      "triggered (default) or free_running: the camera exposes on our trigger, or streams by itself");
   command.add_option(
       "--code", flags.code,
-      "of a visitor's columns: gray (default), xor-2, xor-4, min-stripe or micro-phase (docs/capture-plan.md)");
-  command.add_option("--exposure", flags.exposure,
-                     "exposure, ms (default: 16); capture of a visitor: auto, so that the darkest skin is seen well");
+      "code of a visitor's columns: gray (default), xor-2, xor-4, min-stripe or micro-phase (docs/capture-plan.md)");
+  command.add_option(
+      "--exposure", flags.exposure,
+      "exposure, ms (default: 16); to capture a visitor also auto: chosen so that the darkest skin is seen well");
 }
 
 CLI::App* AddCapture(CLI::App& app, Flags& flags) {
@@ -329,50 +331,54 @@ CLI::App* AddCapture(CLI::App& app, Flags& flags) {
   AddSimulationFlags(*capture, flags.simulation);
   capture->add_option(
       "--visitor", flags.visitor,
-      "pseudonym kept with the session; needs a consent (`stratalux-db consent give`, or the next three)");
-  capture->add_option("--visit", flags.visit, "name of the visit, which its attempts share; names nobody");
-  capture->add_option("--attempt", flags.attempt, "of the visit, from 1")->check(CLI::Range(1, 999));
+      "pseudonym kept with the session; needs a consent (`stratalux-db consent give`, or the --consent options)");
+  capture->add_option("--visit", flags.visit, "name of the visit, shared by its attempts; must not name a person");
+  capture->add_option("--attempt", flags.attempt, "number of the attempt within the visit, from 1")
+      ->check(CLI::Range(1, 999));
   capture->add_option("--consent-scope", flags.consent_scope,
                       "what the visitor agrees to now: fit, research, publication, joined by commas");
   capture->add_option("--consent-text", flags.consent_text, "version of the text that was shown");
-  capture->add_option("--consent-language", flags.consent_language, "in which it was shown, such as de");
+  capture->add_option("--consent-language", flags.consent_language, "language in which it was shown, such as de");
   capture->add_option("--retention", flags.retention, "how long it is kept: short, standard, long, keep")
       ->capture_default_str();
-  capture->add_flag("--sign", flags.sign, "with the rig's key, `stratalux-db key sign-init` (default: [store] sign)");
-  capture->add_flag("--encrypt", flags.encrypt, "with a key of its own (default: as [store] encrypt says, else not)");
+  capture->add_flag("--sign", flags.sign,
+                    "sign with the rig's key, `stratalux-db key sign-init` (default: [store] sign)");
+  capture->add_flag("--encrypt", flags.encrypt, "encrypt with a key of its own (default: [store] encrypt, else off)");
   AddPlanFlags(*capture, flags);
   AddTimingFlags(*capture, flags.timing);
   capture
-      ->add_option(
-          "--pose", flags.board_pose,
-          "calibration, flat: number of the pose, from 0, kept with the session; this one alone unless --poses "
-          "is given; simulation: which [[pose]] of the scene")
+      ->add_option("--pose", flags.board_pose,
+                   "calibration, flat: number of the pose, from 0, kept with the session; only this one unless --poses "
+                   "is given; simulation: which [[pose]] of the scene")
       ->check(CLI::Range(0, 999));
   capture
-      ->add_option("--poses", flags.poses,
-                   "calibration: one after the other, from --pose (else 0) to the one before this number (default: 12; "
-                   "simulation: as many as the scene lists)")
+      ->add_option(
+          "--poses", flags.poses,
+          "calibration: capture the poses from --pose (else 0) up to, not including, this number (default: 12; "
+          "simulation: as many as the scene lists)")
       ->check(CLI::Range(1, 999));
   capture->add_flag("--yes", flags.yes, "calibration, dark, flat, response: do not wait for Enter before a capture");
   capture->add_flag("--on-start", flags.on_start,
                     "wait in the dark until START is pressed ([gpio] start; simulation: --simulate-events)");
-  capture->add_option("--calibration", flags.calibration,
-                      "that the session names: latest, an id or a FILE.json; none; exact (simulation). Default: the "
-                      "rig's newest; in a simulation, exact");
+  capture->add_option(
+      "--calibration", flags.calibration,
+      "calibration that the session names: latest, an id or a FILE.json; none; exact (simulation). Default: the "
+      "rig's newest; in a simulation, exact");
   capture->add_flag("--json", flags.json, "print one JSON object");
   capture->add_flag("--verbose", flags.verbose, "more on stderr");
   return capture;
 }
 
 CLI::App* AddKiosk(CLI::App& app, Flags& flags) {
-  CLI::App* kiosk = app.add_subcommand("kiosk", "One visitor after another, until it is stopped");
+  CLI::App* kiosk = app.add_subcommand("kiosk", "Capture one visitor after another, until stopped");
   kiosk->footer(kKioskExamples);
-  kiosk->add_option("--store", flags.store, "folder of the store (default: as of capture); created when new");
+  kiosk->add_option("--store", flags.store, "folder of the store (default: as for capture); created when new");
   AddSimulationFlags(*kiosk, flags.simulation);
   kiosk->add_option("--config", flags.config, "TOML file (default: " + std::string(kSystemConfig) + ", if there)");
-  kiosk->add_option("--calibration", flags.calibration, "that sessions name, as of capture");
+  kiosk->add_option("--calibration", flags.calibration, "calibration that sessions name, as for capture");
   AddTimingFlags(*kiosk, flags.timing);
-  kiosk->add_flag("--page", flags.page, "show it in a browser, at 127.0.0.1:8080 unless [kiosk.page] says where");
+  kiosk->add_flag("--page", flags.page,
+                  "show the kiosk in a browser, at 127.0.0.1:8080 unless [kiosk.page] says otherwise");
   kiosk->add_flag("--verbose", flags.verbose, "more on stderr: each step of the machine");
   return kiosk;
 }
@@ -383,7 +389,7 @@ CLI::App* AddPreview(CLI::App& app, Flags& flags) {
   AddSimulationFlags(*preview, flags.simulation);
   AddPlanFlags(*preview, flags);
   AddTimingFlags(*preview, flags.timing);
-  preview->add_option("--port", flags.port, "of 127.0.0.1, where the page is (default: any free one)")
+  preview->add_option("--port", flags.port, "port of the page at 127.0.0.1 (default: any free one)")
       ->check(CLI::Range(0, 65535));
   preview->add_flag("--verbose", flags.verbose, "more on stderr");
   return preview;
@@ -411,9 +417,9 @@ int Main(int argc, char** argv) {
   AddPlanFlags(*selftest, flags);
   AddTimingFlags(*selftest, flags.timing);
   AddSimulationFlags(*selftest, flags.simulation);
-  selftest->add_option("--store", flags.store, "folder whose disk is measured (default: as of capture)");
+  selftest->add_option("--store", flags.store, "folder whose disk is measured (default: as for capture)");
   selftest->add_flag("--trend", flags.trend,
-                     "look at no device: print what the kiosk's self-checks on the white card measured over the days");
+                     "check no device: print what the kiosk's self-checks on the white card measured over the days");
   selftest->add_flag("--json", flags.json, "print one JSON object");
   selftest->add_flag("--verbose", flags.verbose, "more on stderr");
   CLI::App* kiosk = AddKiosk(app, flags);
@@ -424,15 +430,14 @@ int Main(int argc, char** argv) {
   plan->footer(kPlanExamples);
   CLI::App* show = plan->add_subcommand("show", "List the steps");
   AddPlanFlags(*show, flags);
-  AddSimulate(*show, flags.simulation,
-              "reckon with the timing of the simulated rig, not with the configuration's devices");
+  AddSimulate(*show, flags.simulation, "use the timing of the simulated rig, not of the configuration's devices");
   show->add_flag("--json", flags.json, "print JSON");
   AddTimingFlags(*show, flags.timing);
   CLI::App* render = plan->add_subcommand("render", "Write the patterns as PNG files with plan.json");
   AddPlanFlags(*render, flags);
   render->add_option("--out", flags.out, "folder")->required();
-  CLI::App* safe =
-      app.add_subcommand("safe", "Take every light: ENABLE lines off, displays black, as a unit's ExecStopPost does");
+  CLI::App* safe = app.add_subcommand(
+      "safe", "Switch every light off: ENABLE lines off, displays black; a unit's ExecStopPost runs it");
   safe->footer(kSafeExamples);
   safe->add_option("--config", flags.config, "TOML file (default: " + std::string(kSystemConfig) + ")");
   if (const auto manual = AskedManual(app, "stratalux-rig", argc, argv)) return Print(*manual);
@@ -449,7 +454,7 @@ int Main(int argc, char** argv) {
   for (const CLI::App* command : {capture, selftest, kiosk, preview})
     if (const Status simulation = CheckSimulationFlags(*command); !simulation.ok()) return Report(simulation);
   if (ChoosesExposure(flags) && !capture->parsed())
-    return Report(Status::Usage("--exposure auto: a capture alone looks at who is there; give it in ms"));
+    return Report(Status::Usage("--exposure auto: only capture looks at who is there; give it in ms"));
   if (capture->parsed()) return RunCapture(flags);
   if (kiosk->parsed()) return RunKioskCommand(flags);
   if (preview->parsed()) return RunPreviewCommand(flags);

@@ -21,8 +21,9 @@ struct TimingFlags {
 template <typename Command>
 void AddTimingFlags(Command& command, TimingFlags& flags) {
   command.add_option("--settle", flags.settle_ms, "settling time of each step, ms (default: 2)");
-  command.add_option("--deadline", flags.deadline_ms,
-                     "for a SYNC edge and for a frame after its exposure, ms (default: as selftest learnt, else 500)");
+  command.add_option(
+      "--deadline", flags.deadline_ms,
+      "deadline for a SYNC edge, and for a frame after its exposure, ms (default: learnt by selftest, else 500)");
 }
 // kUsage for what is out of range; names the flag.
 [[nodiscard]] Status ApplyTimingFlags(const TimingFlags& flags, RigConfig& config);

@@ -163,7 +163,8 @@ BoardSighting BoardWatch::Judge() const {
   for (int p = 0; p < options_.projectors; ++p) {
     const auto lit = LitBy(p);
     if (!lit || static_cast<double>(lit->probes.size()) < options_.min_lit * all) {
-      sighting.notes.push_back("projector " + std::to_string(p) + " lights hardly anything: it will sit this pose out");
+      sighting.notes.push_back("projector " + std::to_string(p) +
+                               " lights hardly anything: it will be left out of this pose");
       continue;
     }
     ++seeing;

@@ -171,7 +171,7 @@ Status Session::Acquire(const std::string& id) {
   name_ = camera_->id();
   if (camera_->acquire() != 0) {
     camera_.reset();
-    return Status::Busy(name_ + ": another program uses this camera, or this one gave it up; start that anew");
+    return Status::Busy(name_ + ": another program uses this camera, or this program gave it up; restart that program");
   }
   camera_->requestCompleted.connect(this, &Session::OnCompleted);
   camera_->disconnected.connect(this, &Session::OnGone);
@@ -345,8 +345,8 @@ Status Camera::GiveUp(const std::string& why, Failure failure) {
   static std::vector<std::shared_ptr<Session>>& left_behind = *new std::vector<std::shared_ptr<Session>>;
   left_behind.push_back(std::exchange(session_, nullptr));
   why_ = why + "; check the camera and its cable: " +
-         (failure == Failure::kDevice ? "unplugged and back it is opened again; else " : "") +
-         "reload its driver if need be, and start the program anew";
+         (failure == Failure::kDevice ? "once unplugged and plugged in again it is reopened; otherwise " : "") +
+         "reload its driver if needed, and restart the program";
   if (failure == Failure::kDevice) camera_in_use = false;
   return Status::Failed(why_);
 }
@@ -365,12 +365,13 @@ libcamera::ControlList Camera::Controls() const {
 Status Camera::SetExposure(double exposure_ms, double gain) {
   if (!session_) return Status::Failed(why_);
   if (!session_->Has(libcamera::controls::ExposureTime) && std::abs(exposure_ms - wiring_.fixed_exposure_ms) > 1e-6)
-    return Status::Usage(session_->name() + ": an exposure of " + std::to_string(exposure_ms) +
-                         " ms is asked for, but this camera's cannot be set, and [camera] fixed_exposure_ms is " +
-                         std::to_string(wiring_.fixed_exposure_ms));
+    return Status::Usage(
+        session_->name() + ": an exposure of " + std::to_string(exposure_ms) +
+        " ms was requested, but this camera's exposure cannot be set, and [camera] fixed_exposure_ms is " +
+        std::to_string(wiring_.fixed_exposure_ms));
   if (!session_->Has(libcamera::controls::AnalogueGain) && gain != 1.0)
     return Status::Usage(session_->name() + ": gain " + std::to_string(gain) +
-                         " is asked for, but this camera has none");
+                         " was requested, but this camera has none");
   exposure_ms_ = exposure_ms;
   gain_ = gain;
   return Status::Ok();
@@ -489,12 +490,12 @@ Result<std::vector<LibcameraDevice>> ListDevices() {
 Result<std::vector<LibcameraDevice>> LibcameraFrameSource::List() {
   if (auto listed = CallPatiently<Result<std::vector<LibcameraDevice>>>(kPatience, ListDevices))
     return std::move(*listed);
-  return Status::Failed("libcamera does not answer; unplug the camera, reload its driver if need be, and try again");
+  return Status::Failed("libcamera does not answer; unplug the camera, reload its driver if needed, and try again");
 }
 
 Result<std::unique_ptr<FrameSource>> LibcameraFrameSource::Open(const CameraWiring& wiring, Logger& logger) {
   if (camera_in_use.exchange(true))
-    return Status::Busy("camera: this process has a camera of libcamera already, or one hung; start the program anew");
+    return Status::Busy("camera: this process already has a libcamera camera, or one hung; restart the program");
   auto camera = std::make_unique<Camera>(wiring, logger);
   SLX_RETURN_IF_ERROR(camera->Open());
   return std::unique_ptr<FrameSource>(std::move(camera));

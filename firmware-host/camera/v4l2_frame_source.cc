@@ -42,8 +42,8 @@ Result<V4l2Node> FindCamera(const CameraWiring& wiring) {
   if (fitting.size() == 1) return fitting.front();
   if (fitting.size() > 1)
     return Status::Usage("[camera]: " + fitting[0].ToString() + " and " + fitting[1].ToString() +
-                         " both fit; give `device` or `bus`, too");
-  return Status::NotFound("[camera]: no V4L2 camera fits device '" + wiring.device + "', driver '" + wiring.driver +
+                         " both match; give `device` or `bus` as well");
+  return Status::NotFound("[camera]: no V4L2 camera matches device '" + wiring.device + "', driver '" + wiring.driver +
                           "', card '" + wiring.card + "', bus '" + wiring.bus +
                           "'; there are: " + (seen.empty() ? "none that this user may open (group video)" : seen));
 }
@@ -219,7 +219,7 @@ Status Camera::ApplySettings() {
   if (wiring_.exposure_control == ExposureControl::kNone) {
     if (std::abs(wanted_->exposure_ms - wiring_.fixed_exposure_ms) > 1e-6)
       return Status::Usage(path_ + ": an exposure of " + std::to_string(wanted_->exposure_ms) +
-                           " ms is asked for, but [camera] fixed_exposure_ms is " +
+                           " ms was requested, but [camera] fixed_exposure_ms is " +
                            std::to_string(wiring_.fixed_exposure_ms));
   } else {
     SLX_RETURN_IF_ERROR(SetControl(ExposureId(), "exposure", 1e3 * wanted_->exposure_ms / wiring_.exposure_unit_us));
@@ -227,7 +227,7 @@ Status Camera::ApplySettings() {
   if (wiring_.gain_control == GainControl::kNone) {
     if (wanted_->gain != 1.0)
       return Status::Usage(path_ + ": gain " + std::to_string(wanted_->gain) +
-                           " is asked for, but [camera] gain_control is none");
+                           " was requested, but [camera] gain_control is none");
   } else {
     SLX_RETURN_IF_ERROR(SetControl(GainId(), "gain", wanted_->gain * wiring_.gain_unit));
   }
@@ -282,7 +282,7 @@ void Camera::Close() {
 }
 
 void Camera::Break(const Status& status) {
-  logger_.Warning("camera broke off: " + status.message());
+  logger_.Warning("camera stopped working: " + status.message());
   Close();
   stream_.Reopened();
 }

@@ -27,7 +27,7 @@ std::optional<int> MinuteOf(std::string_view text) {
 Result<int> TimeOfDay(const TomlTable& kiosk, const std::string& key, const std::string& text) {
   if (const std::optional<int> minute = MinuteOf(text)) return *minute;
   return Status::Usage(kiosk.Where(key) + ": kiosk." + key + " = \"" + text +
-                       "\" is no time of day; write it as \"08:30\"");
+                       "\" is not a time of day; write it as \"08:30\"");
 }
 
 Status ReadHours(TomlTable& kiosk, std::optional<OpeningHours>& hours) {
@@ -43,14 +43,14 @@ Status ReadHours(TomlTable& kiosk, std::optional<OpeningHours>& hours) {
   SLX_ASSIGN_OR_RETURN(hours->closes, TimeOfDay(kiosk, "closes", closes));
   if (hours->opens == hours->closes)
     return Status::Usage(kiosk.Where("closes") +
-                         ": kiosk.closes is when it opens: leave both out for a kiosk that is always open");
+                         ": kiosk.closes is the same as kiosk.opens: leave both out for a kiosk that is always open");
   return Status::Ok();
 }
 
 Status CheckNames(const TomlTable& kiosk, const char* key, const std::vector<std::string>& names) {
   if (names.empty() || names.size() > 255)
-    return Status::Usage(kiosk.Where(key) + ": kiosk." + key + " names " + std::to_string(names.size()) +
-                         ", allowed: 1 .. 255");
+    return Status::Usage(kiosk.Where(key) + ": kiosk." + key + " has " + std::to_string(names.size()) +
+                         " names, allowed: 1 .. 255");
   for (const std::string& name : names)
     if (name.empty()) return Status::Usage(kiosk.Where(key) + ": kiosk." + key + " has an empty name");
   return Status::Ok();

@@ -87,7 +87,7 @@ Status ReadAddress(TomlTable& line, const std::string& chip, LineAddress& at) {
   line.Get("chip", at.chip = chip);
   line.Get("offset", at.offset, 0, 1023);
   if (at.name.empty() == !line.Has("offset"))
-    return Status::Usage(line.Where() + ": a line is given by `line` (its name) or by `offset` on a chip, one of both");
+    return Status::Usage(line.Where() + ": give a line either by `line` (its name) or by `offset` on a chip");
   if (at.name.empty() && at.chip.empty())
     return Status::Usage(line.Where("offset") +
                          ": an offset needs the label of its chip: `chip` here or in [gpio] (`gpiodetect` lists them)");

@@ -140,7 +140,7 @@ Status DriveEnablesOff(const std::vector<OutputWiring>& enables) {
     Status status = taken.status().WithContext(name);
     bool on = true;
     if (taken.ok() && ((*taken)->Read(on) != 0 || on))
-      status = Status::Failed(std::string((*taken)->name()) + " stays on although written off");
+      status = Status::Failed(std::string((*taken)->name()) + " stays on although it was switched off");
     if (first_error.ok()) first_error = status;
   }
   return first_error;

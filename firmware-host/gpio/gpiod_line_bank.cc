@@ -169,7 +169,7 @@ Status Bank::Begin() {
 Bank::~Bank() {
   if (watcher_.joinable()) {
     const uint64_t one = 1;
-    if (write(stop_.get(), &one, sizeof one) != sizeof one) logger_.Error("GPIO: the watcher cannot be told to end");
+    if (write(stop_.get(), &one, sizeof one) != sizeof one) logger_.Error("GPIO: the watcher cannot be told to stop");
     watcher_.join();
   }
   const std::lock_guard lock(mutex_);

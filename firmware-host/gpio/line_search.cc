@@ -29,7 +29,7 @@ Result<FoundLine> FindLine(std::span<const GpioChip> chips, const LineAddress& a
   const std::string line = "GPIO line " + address.ToString();
   if (found.size() == 1) return found.front();
   if (found.size() > 1)
-    return Status::Usage(line + " is there " + std::to_string(found.size()) + " times (" + found[0].chip_path +
+    return Status::Usage(line + " exists " + std::to_string(found.size()) + " times (" + found[0].chip_path +
                          " offset " + std::to_string(found[0].offset) + ", " + found[1].chip_path + " offset " +
                          std::to_string(found[1].offset) + "); name the chip by its label, the line by its offset");
   if (!chip_seen && !address.chip.empty())

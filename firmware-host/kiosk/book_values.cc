@@ -9,7 +9,7 @@ void Refuse(const std::string& what) { throw nlohmann::json::type_error::create(
 
 WallNs TimeOf(int64_t seconds_since_1970) {
   constexpr int64_t kMost = 9'000'000'000;
-  if (seconds_since_1970 <= -kMost || seconds_since_1970 >= kMost) Refuse("at is no time");
+  if (seconds_since_1970 <= -kMost || seconds_since_1970 >= kMost) Refuse("at is not a time");
   return {seconds_since_1970 * kSecondNs};
 }
 

@@ -62,7 +62,7 @@ DayCounts DayCountsOf(const Json& json) {
 // A list of at most `most`.
 const Json& ListOf(const Json& json, const char* name, size_t most) {
   const Json& list = json.at(name);
-  if (!list.is_array() || list.size() > most) Refuse(std::string(name) + " is no list, or too long a one");
+  if (!list.is_array() || list.size() > most) Refuse(std::string(name) + " is not a list, or is too long");
   return list;
 }
 

@@ -79,7 +79,7 @@ void ForgetSearch::Work() {
     try {
       Prove(std::move(proof));
     } catch (const std::exception& error) {
-      logger_.Error(std::string("a search for what was forgotten broke off: ") + error.what());
+      logger_.Error(std::string("a search for what was forgotten failed: ") + error.what());
       found_();
     }
     // What was sought, a thousand words a visit, goes back to the machine: the program is to stay as large as it was.
@@ -105,7 +105,7 @@ void ForgetSearch::Prove(db::ForgetProof proof) {
   if (!report.ok()) logger_.Error("a forgetting could not be certified: " + report.status().message());
   if (report.ok())
     for (const std::string& leftover : report->leftovers)
-      logger_.Error("forgotten, but left: " + leftover +
+      logger_.Error("forgotten, but still there: " + leftover +
                     "; remove it by hand, then `stratalux-db forget --resume` searches again");
   if (!report.ok() || !report->leftovers.empty()) found_();
 }

@@ -127,7 +127,7 @@ class KioskLoop {
 
   void Perform(const action::LightOff& /*action*/) { worker_.LightOff(); }
   void Perform(const action::StopCapture& action) {
-    logger_.Info(std::string("the capture is ended: ") + ToString(action.reason));
+    logger_.Info(std::string("the capture is stopped: ") + ToString(action.reason));
     worker_.LightOff();
   }
   void Perform(const action::Preview& action) { worker_.Begin(action); }
@@ -204,7 +204,8 @@ Result<KioskReport> KioskLoop::Run() {
   }
   front_.ServeWithdrawals(nullptr);
   notice_.Stopping();
-  if (new_start_) return Status::Failed("the GPIO lines went; the kiosk ends, and opens them when it is started again");
+  if (new_start_)
+    return Status::Failed("the GPIO lines are gone; the kiosk ends, and opens them when it is started again");
   report_.begun = state_.visit;
   report_.owed = state_.closed_for.Has(Closure::kUnforgotten);
   return report_;

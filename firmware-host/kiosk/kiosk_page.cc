@@ -209,7 +209,7 @@ Response KioskPage::Impl::Press(const Request& request) {
 
 Response KioskPage::Impl::Preview() {
   const std::lock_guard lock(mutex);
-  if (preview.empty()) return Response::Text(404, "nobody is looked at now");
+  if (preview.empty()) return Response::Text(404, "no preview is shown now");
   return Response::Of("image/jpeg", preview);
 }
 
@@ -329,7 +329,7 @@ void KioskPage::Impl::OpenDays() {
       TakeState(file, DayBook::kSchema, [&days](const std::string& text) { days = DayBook::From(text); });
   if (!taken.ok() && taken.code() != StatusCode::kNotFound) {
     state_note = taken.message();
-    logger.Warning("the day's counts begin anew: " + state_note);
+    logger.Warning("the day's counts start again at zero: " + state_note);
     days = DayBook();
   }
   days.CutOff();
@@ -375,9 +375,9 @@ Status KioskPageOptions::Validate() const {
     return Status::Usage("the kiosk's page at " + address +
                          " can be reached by other machines: it needs a token (token_file), or 127.0.0.1");
   if (!token.empty() && token == operator_token)
-    return Status::Usage("the operator's token is the page's: whoever sees the page would run the kiosk");
+    return Status::Usage("the operator's token is the same as the page's: whoever sees the page could run the kiosk");
   if (ticket_text.find("{code}") == std::string::npos)
-    return Status::Usage("ticket_text '" + ticket_text + "' lacks {code}, the place of the ticket's code");
+    return Status::Usage("ticket_text '" + ticket_text + "' lacks {code}, the placeholder for the ticket's code");
   return Status::Ok();
 }
 

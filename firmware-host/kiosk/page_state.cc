@@ -81,7 +81,7 @@ PressVerdict PageState::PressLanguage(const PagePress& press, Moment now) {
   constexpr Screens kBefore = {Phase::kSafe, Phase::kClosed, Phase::kIdle, Phase::kQuestion, Phase::kConsent};
   const auto found = std::find(languages_.begin(), languages_.end(), press.language);
   if (found == languages_.end()) return Refusal(400, "the kiosk does not speak '" + press.language + "'");
-  if (!kBefore.Has(shown_.screen)) return Refusal(409, "the language is chosen before");
+  if (!kBefore.Has(shown_.screen)) return Refusal(409, "the language must be chosen earlier");
   language_ = static_cast<size_t>(found - languages_.begin());
   touched_ = now;
   return {204, "", std::nullopt, true};
@@ -91,14 +91,14 @@ PressVerdict PageState::Press(const PagePress& press, Moment now) {
   const bool language = press.verb == "language";
   const auto& verbs = Verbs();
   const auto verb = std::find_if(verbs.begin(), verbs.end(), [&](const Verb& one) { return press.verb == one.name; });
-  if (!language && verb == verbs.end()) return Refusal(404, "there is nothing to press that is called so");
+  if (!language && verb == verbs.end()) return Refusal(404, "there is no button of that name");
   if (!http::SameSecret(press.nonce, nonce_)) return Refusal(403, "this was another visit's screen");
   if (press.screen != ToString(shown_.screen)) return Refusal(409, "another screen is shown by now");
   if (language) return PressLanguage(press, now);
   if (!verb->screens.Has(shown_.screen)) return Refusal(409, "this screen has nothing of that name");
   if (press.verb == "keep" && !shown_.usable) return Refusal(409, "there is nothing worth keeping");
   const bool leaves = std::holds_alternative<event::Leave>(verb->event);
-  if (!leaves && pressed_ && now - *pressed_ < kBetweenPresses) return Refusal(409, "pressed already");
+  if (!leaves && pressed_ && now - *pressed_ < kBetweenPresses) return Refusal(409, "already pressed");
   pressed_ = now;
   touched_ = now;
   PressVerdict verdict{204, "", verb->event, false};

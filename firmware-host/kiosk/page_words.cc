@@ -65,7 +65,7 @@ Result<SortedJson> ReadLanguage(const std::string& file) {
   if (const Status status = CheckNesting(text); !status.ok())
     return Status::Usage("language file " + file + ": " + status.message());
   SortedJson json = SortedJson::parse(text, nullptr, false);
-  if (!json.is_object()) return Status::Usage("language file " + file + " is no JSON object");
+  if (!json.is_object()) return Status::Usage("language file " + file + " is not a JSON object");
   return json;
 }
 
@@ -79,7 +79,7 @@ Result<std::vector<PageLanguage>> ReadLanguages(const std::filesystem::path& fol
   for (const std::string& id : ids) {
     const bool plain = !id.empty() && id.find_first_not_of("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ-") ==
                                           std::string::npos;
-    if (!plain) return Status::Usage("'" + id + "' is no language: letters and hyphens, such as de or pt-BR");
+    if (!plain) return Status::Usage("'" + id + "' is not a language: letters and hyphens, such as de or pt-BR");
     const std::string file = (folder / (id + ".json")).string();
     auto json = ReadLanguage(file);
     if (!json.ok()) return Status::Usage(json.status().message());

@@ -27,7 +27,7 @@ Result<uint8_t> PlaceOf(const std::string& name, const std::vector<std::string>&
   if (at != names.end()) return static_cast<uint8_t>(at - names.begin());
   std::string all;
   for (const std::string& one : names) all += (all.empty() ? "" : ", ") + one;
-  return Status::Usage(std::string(what) + " '" + Printable(name) + "' is none of [kiosk]'s: " + all);
+  return Status::Usage(std::string(what) + " '" + Printable(name) + "' is not one of [kiosk]'s: " + all);
 }
 
 Result<VisitEvent> ParseAgreement(const std::vector<std::string>& words, const KioskConfig& kiosk) {
@@ -63,7 +63,7 @@ Result<VisitEvent> ParseCommand(const std::string& line, const KioskConfig& kios
     if (first == "leave") return VisitEvent(event::Leave{});
     if (first == "stop") return VisitEvent(event::Shutdown{});
   }
-  return Status::Usage("'" + Printable(line) + "' is no command; " + kWhatThereIs);
+  return Status::Usage("'" + Printable(line) + "' is not a command; " + kWhatThereIs);
 }
 
 std::string ScreenAsJson(const action::Show& screen) {
@@ -99,7 +99,7 @@ std::vector<VisitEvent> PlainFront::Take() {
     if (!command.ok()) logger_.Warning(command.status().message());
   }
   if (begun_.size() > kLongestLine) {
-    logger_.Warning("a command longer than " + std::to_string(kLongestLine) + " bytes is none");
+    logger_.Warning("a command longer than " + std::to_string(kLongestLine) + " bytes is ignored");
     begun_.clear();
   }
   return events;

@@ -318,7 +318,7 @@ void RigWorker::Do(const action::StartCapture& job) {
   if (job.attempt == 1) NameVisit(job.visit);
   const VisitNames named = names();
   if (const Status noted = forgetting_.Begin(named.name, named.visitor); !noted.ok()) {
-    logger_.Error("no capture of whom a power cut would leave without a ticket: " + noted.message());
+    logger_.Error("no capture of a visitor whom a power cut would leave without a ticket: " + noted.message());
     return Tell(event::Failed{});
   }
   const auto turn = search_.Turn();
@@ -346,8 +346,9 @@ void RigWorker::Do(const action::PrintTicket& job) {
   const VisitNames named = names();
   if (named.visit != job.visit) return;
   if (const Status kept = forgetting_.Keep(named.name); !kept.ok())
-    logger_.Error("a visit that has its ticket is forgotten at the next start, unless its note goes before: " +
-                  kept.message());
+    logger_.Error(
+        "a visit that has its ticket will be forgotten at the next start unless its note is removed before: " +
+        kept.message());
 }
 
 void RigWorker::Do(const action::Discard& job) {
@@ -358,7 +359,7 @@ void RigWorker::Do(const action::Discard& job) {
     forgotten = forgetting_.ForgetUnkept();
   } else {
     // A disk that is full or read-only takes no note; what is there may go all the same.
-    logger_.Warning("no note of a visit to be forgotten: " + noted.message());
+    logger_.Warning("a visit to be forgotten could not be noted: " + noted.message());
     forgotten = forgetting_.Withdraw(named.visitor);
     if (forgotten.code() == StatusCode::kNotFound) forgotten = Status::Ok();
   }
@@ -375,7 +376,7 @@ void RigWorker::ForgetWhatWasLeft() {
   }
   if (forgotten.ok()) return;
   logger_.Error("what was left without a ticket could not be forgotten: " + forgotten.message() +
-                "; the next discarding or start tries again");
+                "; the next discard or start tries again");
   Tell(event::Leftover{});
 }
 

@@ -54,7 +54,7 @@ SelfcheckKeeper::SelfcheckKeeper(std::filesystem::path file, Logger& logger) : f
       TakeState(file_, SelfcheckBook::kSchema, [this](const std::string& text) { book_ = SelfcheckBook::From(text); });
   if (taken.ok() || taken.code() == StatusCode::kNotFound) return;
   note_ = taken.message();
-  logger_.Warning("the trend of self-checks begins anew: " + note_);
+  logger_.Warning("the trend of self-checks starts again from nothing: " + note_);
   if (taken.code() == StatusCode::kFailed) file_.clear();
 }
 

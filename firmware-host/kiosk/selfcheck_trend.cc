@@ -118,8 +118,8 @@ std::string TrendAsText(const SelfcheckTrend& trend) {
   }
   for (const FigureDrift& drift : trend.drifts) text += "drift: " + ToText(drift, trend.days) + "\n";
   if (trend.days < SelfcheckTrend::kFewestDays)
-    return text + Formatted("%d earlier days with a check that passed; from %d on drifts are told\n", trend.days,
-                            SelfcheckTrend::kFewestDays);
+    return text + Formatted("%d earlier days with a check that passed; drifts are reported from %d days on\n",
+                            trend.days, SelfcheckTrend::kFewestDays);
   return trend.drifts.empty() ? text + Formatted("as on the %d days before\n", trend.days) : text;
 }
 

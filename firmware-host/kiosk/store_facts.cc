@@ -70,7 +70,7 @@ Result<std::string> SessionPicture(const std::filesystem::path& store, const std
   SLX_ASSIGN_OR_RETURN(const auto sessions, db::SessionStore::Open(store, db::AccessMode::kReadOnly));
   SLX_ASSIGN_OR_RETURN(const auto frames, sessions.ListFrames(id));
   const auto frame = std::find_if(frames.begin(), frames.end(), [wanted](const auto& one) { return one.id == wanted; });
-  if (frame == frames.end()) return Status::NotFound("session '" + id + "' is going");
+  if (frame == frames.end()) return Status::NotFound("session '" + id + "' is being forgotten");
   SLX_ASSIGN_OR_RETURN(const Image<uint16_t> pixels, sessions.ReadFrame(id, *frame));
   SLX_RETURN_IF_ERROR(log.Enter(id, "a small picture", peer));
   return PreviewPicture(frame->record, pixels.view(), kSmallPx);

@@ -28,16 +28,16 @@ event::Space StoreWatch::Space() {
   const bool to_be_made = !there && !store_seen_ && (!error || error == std::errc::no_such_file_or_directory);
   store_seen_ |= there;
   if (!there && !to_be_made) {
-    const std::string why = folder +
-                            (store_seen_ ? ", which held the visits, is gone" : " cannot be asked for its room") +
-                            (error ? ": " + error.message() : std::string()) + "; see to its disk";
+    const std::string why =
+        folder + (store_seen_ ? ", which held the visits, is gone" : ": cannot find out how much space is free") +
+        (error ? ": " + error.message() : std::string()) + "; check its disk";
     Say(why, why, space_told_);
     return {0};
   }
   const std::filesystem::path asked = ExistingFolder(folder);
   const auto space = std::filesystem::space(asked, error);
   if (error) {
-    const std::string why = asked.string() + " cannot be asked for its room: " + error.message();
+    const std::string why = asked.string() + ": cannot find out how much space is free: " + error.message();
     Say(why, why, space_told_);
     return {0};
   }

@@ -15,7 +15,7 @@ constexpr int kQuietModules = 4;
 }  // namespace
 
 Result<std::string> TicketPicture(const std::string& text) {
-  if (text.empty()) return Status::Usage("a QR code of nothing");
+  if (text.empty()) return Status::Usage("a QR code needs a text");
   const std::unique_ptr<QRcode, decltype(&QRcode_free)> code(QRcode_encodeString8bit(text.c_str(), 0, QR_ECLEVEL_M),
                                                              QRcode_free);
   if (code == nullptr)

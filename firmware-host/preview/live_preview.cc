@@ -48,7 +48,7 @@ class LivePreview {
     LightGuard& light = station_.light();
     SLX_RETURN_IF_ERROR(light.Check());
     if (lit_ >= 0 && light.Now() - lit_since_ >= longest_) {
-      page_.PutOut("the light was on for as long as it may be ([capture] max_on_time_s)");
+      page_.PutOut("the light was on for the longest time allowed ([capture] max_on_time_s)");
       choice.projector = -1;
     }
     if (lit_ == choice.projector) {

@@ -94,7 +94,7 @@ Response PreviewPage::Impl::Light(const Request& request) {
   const std::optional<int> projector = name == "off" ? -1 : NumberOf<int>(name);
   const bool there = projector && (*projector >= 0 || name == "off") && *projector < options.projectors;
   if (!there)
-    return Response::Text(404, "light is off, or a projector of 0 .. " + std::to_string(options.projectors - 1));
+    return Response::Text(404, "light must be off, or a projector of 0 .. " + std::to_string(options.projectors - 1));
   const std::lock_guard lock(mutex);
   if (stopped && *projector >= 0) return Response::Text(409, "the light is stopped: " + why);
   choice.projector = *projector;
@@ -105,7 +105,7 @@ Response PreviewPage::Impl::Exposure(const Request& request) {
   const std::optional<double> ms = NumberOf<double>(request.Wildcard("ms"));
   // Written so that nan is none.
   if (!ms || !(*ms >= options.shortest_ms && *ms <= options.longest_ms))
-    return Response::Text(400, "an exposure lies in " + nlohmann::json(options.shortest_ms).dump() + " .. " +
+    return Response::Text(400, "the exposure must be in " + nlohmann::json(options.shortest_ms).dump() + " .. " +
                                    nlohmann::json(options.longest_ms).dump() + " ms");
   const std::lock_guard lock(mutex);
   choice.exposure_ms = *ms;

@@ -55,7 +55,7 @@ class Card {
     if (error == EACCES || error == EPERM) {
       return Status::Failed(path_ + ": " + what +
                             " refused: another program took the screen (a desktop, a console switch);" +
-                            " stop it and begin anew");
+                            " stop it and start again");
     }
     return Status::Failed(path_ + ": " + what + ": " + std::strerror(error));
   }
@@ -191,7 +191,7 @@ class KmsDisplay final : public Display, private LightSwitch {
     for (const Pattern& pattern : sequence) SLX_RETURN_IF_ERROR(pattern.Validate(width(), height()));
     if (pending_) {
       SLX_ASSIGN_OR_RETURN(const std::optional<MonotonicNs> flipped, WaitFlip(std::chrono::seconds(1)));
-      if (!flipped) return Status::Failed(name_ + ": a flip asked for a second ago has not come");
+      if (!flipped) return Status::Failed(name_ + ": a flip requested a second ago has not happened");
     }
     sequence_ = sequence;
     next_ = 0;
@@ -199,7 +199,7 @@ class KmsDisplay final : public Display, private LightSwitch {
   }
 
   Status Flip() override {
-    if (pending_) return Status::Failed(name_ + ": asked to flip while the flip before it has not come");
+    if (pending_) return Status::Failed(name_ + ": asked to flip while the flip before it has not happened");
     if (sequence_.empty()) return Status::Failed(name_ + ": asked to flip before any pattern was loaded");
     Buffer& back = *pictures_[back_];
     DrawPattern(sequence_[next_], wiring_.gamma, width(), back.pixels());
@@ -406,7 +406,7 @@ Status BlankDisplay(const DisplayWiring& wiring) {
   SLX_ASSIGN_OR_RETURN(const std::shared_ptr<Card> card, CardOf(wiring, cards));
   if (drmIsMaster(card->fd()) == 0 && drmSetMaster(card->fd()) != 0)
     return Status::Busy(card->path() + ": " + wiring.connector + " is driven by " + UsersOfCard(card->path()) +
-                        "; end that program, its picture goes with it");
+                        "; end that program, and its picture goes with it");
   const Connector connector(drmModeGetConnectorCurrent(card->fd(), FindConnector(*card, wiring.connector)));
   const Encoder encoder(connector ? drmModeGetEncoder(card->fd(), connector->encoder_id) : nullptr);
   if (!encoder || encoder->crtc_id == 0) return Status::Ok();  // nothing feeds it

@@ -124,7 +124,7 @@ Status MemoryLayout::CheckHeld(const CapturePlan& plan, int projector) const {
   for (const LeftOut& out : left_out)
     if (out.section == section)
       return Status::Usage(Prefix(where) + "the pattern memories hold no section '" + name + "': " + out.why +
-                           "; then fill the memories anew (`stratalux-rig plan render`)");
+                           "; then fill the memories again (`stratalux-rig plan render`)");
   if (projector >= static_cast<int>(projectors.size()))
     return Status::Usage("no pattern memory of projector " + std::to_string(projector) + ": they are laid out for " +
                          std::to_string(projectors.size()));
@@ -132,10 +132,11 @@ Status MemoryLayout::CheckHeld(const CapturePlan& plan, int projector) const {
   const std::vector<Pattern>& held = projectors[static_cast<size_t>(projector)].patterns;
   if (std::search(held.begin(), held.end(), sequence.begin(), sequence.end()) != held.end() || sequence.empty())
     return Status::Ok();
-  return Status::Usage(Prefix(where) + "the plan of this " + name + " is not that of [plan], which the memory of " +
-                       "projector " + std::to_string(projector) +
-                       " holds; capture it with those options, or write them there and fill the memories anew "
-                       "(`stratalux-rig plan render`)");
+  return Status::Usage(
+      Prefix(where) + "the plan of this " + name + " differs from [plan], which the memory of " + "projector " +
+      std::to_string(projector) +
+      " holds; capture it with the options of [plan], or change them there and fill the memories again "
+      "(`stratalux-rig plan render`)");
 }
 
 Result<MemoryLayout> LayOutMemories(const PlanOptions& plan, const MemoryOptions& options) {
@@ -169,7 +170,7 @@ Result<MemoryLayout> LayOutMemories(const PlanOptions& plan, const MemoryOptions
         return Status::Usage(Prefix(options.where) + "[memory] sections: no room for '" + name + "': " + too_small +
                              "; raise it if the modules hold more, or leave sections out of memory.sections");
       layout.left_out.push_back(
-          {section, too_small + "; raise it if the modules hold more, or name in memory.sections what is to be held"});
+          {section, too_small + "; raise it if the modules hold more, or name in memory.sections what it should hold"});
       continue;
     }
     layout.projectors = std::move(larger);

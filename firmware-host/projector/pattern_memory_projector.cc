@@ -93,7 +93,7 @@ Status PatternMemoryProjector::Load(const std::vector<Pattern>& sequence) {
   if (!way)
     return Status::Usage("the pattern memory of projector " + std::to_string(options_.projector) + " (" +
                          std::to_string(options_.memory.size()) + " patterns) does not hold this sequence of " +
-                         std::to_string(sequence.size()) + "; fill it anew with `stratalux-rig plan render`");
+                         std::to_string(sequence.size()) + "; fill it again with `stratalux-rig plan render`");
   for (int attempt = 0; attempt < (has_reset() ? kTries : 1); ++attempt) {
     if (attempt > 0 || way->start == WayStart::kReset) SLX_RETURN_IF_ERROR(Rewind());
     SLX_ASSIGN_OR_RETURN(const bool there, StepTo(way->target));

@@ -61,7 +61,7 @@ Result<std::unique_ptr<LightGuard>> LightGuard::Start(std::vector<std::vector<Li
                                                       InterlockInput* interlock, StopToken& stop,
                                                       LightGuardOptions options) {
   if (projectors.size() > kMaxProjectors)
-    return Status::Usage(std::to_string(projectors.size()) + " projectors, the guard of their light takes " +
+    return Status::Usage(std::to_string(projectors.size()) + " projectors; the guard of their light can take at most " +
                          std::to_string(kMaxProjectors));
   std::unique_ptr<LightGuard> guard(new LightGuard(stop, interlock, options));
   for (const std::vector<LightSwitch*>& switches : projectors) {
@@ -172,9 +172,9 @@ Status LightGuard::MayBeLit(int projector) const {
   const LightSwitch* failed = light.failed.load();
   const int error = light.error.load();
   return Status::Failed("projector " + std::to_string(projector) +
-                        " may be lit still: " + (failed != nullptr ? failed->name() : "its switch") + ": " +
-                        (error != 0 ? std::strerror(error) : "stays on although written off") +
-                        "; the guard goes on trying; cut the lamp's supply if it shines");
+                        " may still be lit: " + (failed != nullptr ? failed->name() : "its switch") + ": " +
+                        (error != 0 ? std::strerror(error) : "stays on although it was switched off") +
+                        "; the guard keeps trying; cut the lamp's power supply if it is lit");
 }
 
 Status LightGuard::On(int projector, const LightLease& lease) {

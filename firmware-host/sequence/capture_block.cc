@@ -222,7 +222,7 @@ Status CaptureRun::SpoilLast(ShotFault fault) {
   LoseMemory();
   if (!last_kept_) {  // left over from before this projector's first shot: nothing of it is spoilt
     report_.Note(fault);
-    logger_.Warning(std::string(ToString(fault)) + " before the first shot; the memory is loaded anew");
+    logger_.Warning(std::string(ToString(fault)) + " before the first shot; the memory is loaded again");
     return CountUseless();
   }
   const int step = *std::exchange(last_kept_, std::nullopt);

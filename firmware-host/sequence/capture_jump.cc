@@ -40,7 +40,7 @@ Result<bool> CaptureRun::AskReference() {
     SLX_RETURN_IF_ERROR(TellWhite(failed));
     return false;
   }
-  logger_.Warning(Describe(failed.index) + ": the subject jumped; the projector is captured anew");
+  logger_.Warning(Describe(failed.index) + ": the subject jumped; the projector is captured again");
   NoteFault(failed.index, ShotFault::kSubjectMoved);
   jump->step = failed.index;
   SLX_RETURN_IF_ERROR(Add(*jump));

@@ -25,7 +25,7 @@ Result<std::unique_ptr<RealtimeThread>> RealtimeThread::Enter(int priority) {
     munlockall();
     return Status::Failed("real time: SCHED_FIFO of priority " + std::to_string(priority) + ": " + cause +
                           "; set LimitRTPRIO=" + std::to_string(priority + 1) +
-                          " or more in the service (or `ulimit -r`): the light's guard must stand above");
+                          " or more in the service (or `ulimit -r`): the light's guard needs a higher priority");
   }
   return std::unique_ptr<RealtimeThread>(new RealtimeThread);
 }

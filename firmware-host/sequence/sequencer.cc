@@ -48,9 +48,9 @@ Status SequencerOptions::Validate() const {
   if (max_retries < 0 || max_retries > 100)
     return Status::Usage("max_retries = " + std::to_string(max_retries) + ", allowed: 0 .. 100");
   if (max_useless_shots < 1)
-    return Status::Usage("max_useless_shots = " + std::to_string(max_useless_shots) + ", allowed: 1 and more");
+    return Status::Usage("max_useless_shots = " + std::to_string(max_useless_shots) + ", allowed: 1 or more");
   if (max_reference_asks < 0)
-    return Status::Usage("max_reference_asks = " + std::to_string(max_reference_asks) + ", allowed: 0 and more");
+    return Status::Usage("max_reference_asks = " + std::to_string(max_reference_asks) + ", allowed: 0 or more");
   if (shooter.settle.count() < 0 || shooter.sync_deadline.count() <= 0 || shooter.frame_deadline.count() <= 0 ||
       shooter.frame_slack.count() < 0 || max_on_time.count() < 0 || max_useless_time.count() < 0 ||
       step_slack.count() < 0)

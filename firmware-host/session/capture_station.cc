@@ -258,7 +258,7 @@ Result<CaptureOutcome> CaptureStation::Capture(const CaptureRequest& request, Ca
   outcome.prescan = request.prescan;
   if (occupied.dropped() > 0)
     logger_.Warning("START was pressed during the capture (" + std::to_string(occupied.dropped()) +
-                    " times): it starts nothing");
+                    " times): it has no effect");
   // The next captures need not find out again.
   for (const SlowAnswers& slow : outcome.report.slow)
     if (slow.late > 0 && deadlines_.learnt) {
@@ -314,7 +314,7 @@ Status CaptureStation::ReopenCamera() {
 }
 
 Status CaptureStation::SetSubject(const SubjectOptions& subject) {
-  if (!rig_.simulation) return Status::Usage("only a simulated rig can be told who sits before it");
+  if (!rig_.simulation) return Status::Usage("only a simulated rig can be told who sits in front of it");
   SLX_RETURN_IF_ERROR(rig_.simulation->SetSubject(subject));
   options_.simulated->scene = subject.scene;
   options_.simulated->seed = subject.seed;
@@ -357,10 +357,10 @@ Result<PreScanTaken> CaptureStation::TakePreScan(const PlanOptions& plan, const 
   SLX_ASSIGN_OR_RETURN(const double longest_ms, LongestExposureMs(plan, timing, longest_visit));
   rule.longest_ms = std::min(rule.longest_ms, longest_ms);
   if (rule.longest_ms < rule.shortest_ms)
-    return Status::Usage("a visit of " +
-                         std::to_string(std::chrono::duration_cast<std::chrono::seconds>(longest_visit).count()) +
-                         " s has room for an exposure of " + std::to_string(longest_ms) + " ms only, the least is " +
-                         std::to_string(rule.shortest_ms) + " ms; raise [capture] max_visit_s or plan fewer steps");
+    return Status::Usage(
+        "a visit of " + std::to_string(std::chrono::duration_cast<std::chrono::seconds>(longest_visit).count()) +
+        " s has room only for an exposure of up to " + std::to_string(longest_ms) + " ms, the least is " +
+        std::to_string(rule.shortest_ms) + " ms; raise [capture] max_visit_s or plan fewer steps");
   // A pre-scan has no pre-roll that would tell a memory out of step.
   Rest();
   constexpr int kHalvings = 5;

@@ -163,9 +163,9 @@ RigDeadlines ChooseDeadlines(const fs::path& folder, const RigConfig& config,
   if (!read.ok()) {
     deadlines.refused = read.message();
   } else if (!difference.empty()) {
-    deadlines.refused = file.string() + " was learnt of another rig (" + difference + " differs)";
+    deadlines.refused = file.string() + " was learnt from another rig (" + difference + " differs)";
   } else if (!Usable(delays, config.plan.projectors)) {
-    deadlines.refused = file.string() + ": no deadline follows from its delays";
+    deadlines.refused = file.string() + ": no deadline can be derived from its delays";
   } else {
     deadlines.delays = std::move(delays);
     deadlines.learnt_at = std::move(learnt_at);

@@ -141,7 +141,7 @@ Result<std::unique_ptr<FrameSource>> OpenCameraAtStart(const CameraWiring& wirin
   const bool hopeless = wiring.backend == CameraBackend::kNone ||
                         (wiring.backend == CameraBackend::kLibcamera && !LibcameraFrameSource::IsBuilt());
   if (camera.ok() || hopeless || at_start == CameraAtStart::kNeeded) return camera;
-  logger.Warning("without a camera until it comes: " + camera.status().message());
+  logger.Warning("running without a camera until one appears: " + camera.status().message());
   events.Tell(RigSignal::kCamera, SignalLevel::kActive, MonotonicNow());
   return std::unique_ptr<FrameSource>(std::make_unique<NoCamera>(wiring.pace, camera.status()));
 }
@@ -190,7 +190,7 @@ Result<OpenedRig> OpenRig(const RigConfig& config, const std::optional<Simulated
     logger.Warning("`stratalux-rig safe` will need the configuration: " + kept.message());
   SLX_ASSIGN_OR_RETURN(rig.camera, OpenCameraAtStart(config.camera, at_start, *rig.events, logger));
   Result<std::unique_ptr<NodeWatch>> watch = WatchCamera(config.camera, *rig.events);
-  if (!watch.ok()) logger.Warning("nobody sees the camera being unplugged: " + watch.status().message());
+  if (!watch.ok()) logger.Warning("unplugging the camera will not be noticed: " + watch.status().message());
   if (watch.ok()) rig.camera_watch = std::move(watch).value();
   return rig;
 }

@@ -15,7 +15,7 @@ Status CheckFitsRig(const RigCalibration& record, const RigConfig& config) {
   const PlanOptions& plan = config.plan;
   const Pinhole& camera = record.camera.model;
   if (camera.width != config.camera.width || camera.height != config.camera.height)
-    return Status::Usage("it is of a camera of " + SizeText(camera.width, camera.height) + ", this one has " +
+    return Status::Usage("it is for a camera of " + SizeText(camera.width, camera.height) + ", this one has " +
                          SizeText(config.camera.width, config.camera.height));
   if (static_cast<int>(record.projectors.size()) != plan.projectors)
     return Status::Usage("it has " + std::to_string(record.projectors.size()) + " projectors, the plan " +
@@ -36,7 +36,7 @@ void WarnIfOld(const std::string& name, WallNs made, WallNs valid_until, Logger&
   std::snprintf(days, sizeof days, "%.0f", static_cast<double>(now.ns - made.ns) / 86400e9);
   logger.Warning("calibration " + name + " was made " + (made.ns != 0 ? days + std::string(" days ago") : "long ago") +
                  " and was valid until " + ToIso8601(valid_until) +
-                 ": calibrate the rig anew (docs/operators-guide.md, \"Calibrating\")");
+                 ": calibrate the rig again (docs/operators-guide.md, \"Calibrating\")");
 }
 
 Result<std::string> FromFile(const std::string& file, const RigConfig& config, Logger& logger) {

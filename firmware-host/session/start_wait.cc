@@ -95,7 +95,7 @@ class StartWait {
     if (recovered.ok()) {
       reopen_ = false;
       said_.clear();
-      if (!stop_.stopped()) logger_.Info("START counts again");
+      if (!stop_.stopped()) logger_.Info("START is accepted again");
       return;
     }
     if (said_ != recovered.message()) logger_.Warning(recovered.message());

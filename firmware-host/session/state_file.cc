@@ -38,13 +38,13 @@ Result<std::string> ReadOwn(const fs::path& file) {
   }
   struct stat info {};
   if (fstat(fd.get(), &info) != 0) return Status::Failed(file.string() + ": " + std::strerror(errno));
-  if (!S_ISREG(info.st_mode)) return Status::Failed(file.string() + " is no plain file; remove it");
+  if (!S_ISREG(info.st_mode)) return Status::Failed(file.string() + " is not a regular file; remove it");
   if (info.st_uid != geteuid() && info.st_uid != 0)
     return Status::Failed(file.string() + " belongs to account " + std::to_string(info.st_uid) + ", this is " +
                           std::to_string(geteuid()) + "; run `stratalux-rig` as the service's account");
   if ((info.st_mode & (S_IWGRP | S_IWOTH)) != 0)
     return Status::Failed(file.string() +
-                          " may be written by others than its owner; chmod 600 it once what it says is known to be "
+                          " can be written by others than its owner; chmod 600 it once its content is known to be "
                           "right, or remove it");
   std::string text(kMostBytes, '\0');
   const ssize_t bytes = read(fd.get(), text.data(), text.size());
@@ -115,7 +115,7 @@ Status TakeState(const fs::path& file, int schema, const std::function<void(cons
   const Result<std::string> text = ReadOwn(file);
   if (text.status().code() == StatusCode::kNotFound) return text.status();
   if (!text.ok())
-    return Status::Failed(text.status().message() + "; it stays as it is, and this program keeps nothing in its place");
+    return Status::Failed(text.status().message() + "; it stays as it is, and this program saves nothing in its place");
   const Status taken = Parse(file, *text, schema, take);
   if (taken.ok()) return taken;
   const std::string aside = file.string() + (taken.code() == StatusCode::kNewerSchema ? ".newer" : ".damaged");
@@ -125,7 +125,7 @@ Status TakeState(const fs::path& file, int schema, const std::function<void(cons
   fs::rename(file, to, error);
   if (error)
     return Status::Failed(taken.message() + "; it could not be set aside: " + error.message() +
-                          "; this program keeps nothing in its place");
+                          "; this program saves nothing in its place");
   return {taken.code(), taken.message() + "; set aside as " + to.string()};
 }
 

@@ -64,8 +64,8 @@ void StateWriter::Work() {
 }
 
 void StateWriter::Note(const Status& kept) {
-  if (!kept.ok() && trouble_.empty()) logger_.Warning("not kept, and tried again: " + kept.message());
-  if (kept.ok() && !trouble_.empty()) logger_.Info(file_.string() + " is kept again");
+  if (!kept.ok() && trouble_.empty()) logger_.Warning("not saved, will be tried again: " + kept.message());
+  if (kept.ok() && !trouble_.empty()) logger_.Info(file_.string() + " is saved again");
   trouble_ = kept.ok() ? "" : kept.message();
 }
 

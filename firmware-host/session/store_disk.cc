@@ -45,7 +45,8 @@ Status CheckFreeSpace(const std::filesystem::path& store, int64_t bytes) {
   const std::filesystem::path folder = ExistingFolder(store);
   std::error_code error;
   const auto space = std::filesystem::space(folder, error);
-  if (error) return Status::Failed("cannot ask how much is free in " + folder.string() + ": " + error.message());
+  if (error)
+    return Status::Failed("cannot find out how much space is free in " + folder.string() + ": " + error.message());
   if (space.capacity == 0 || space.available >= static_cast<uint64_t>(bytes)) return Status::Ok();
   return Status::Failed("the store " + store.string() + " has " + Gigabytes(space.available) +
                         " free, the session may take " + Gigabytes(static_cast<uint64_t>(bytes)) +

@@ -44,23 +44,23 @@ Result<Occurrence> ParseOccurrence(const std::string& line) {
   if (const auto found = Words().find(line); found != Words().end()) return found->second;
   std::string known;
   for (const auto& [word, occurrence] : Words()) known += (known.empty() ? "" : ", ") + word;
-  return Status::Usage("'" + line + "' is nothing that happens to a rig; there are: " + known);
+  return Status::Usage("'" + line + "' is not an event of a rig; there are: " + known);
 }
 
 Status ControlPipe::Take() {
   if (mkfifo(path_.c_str(), 0600) == 0)
     made_ = true;
   else if (errno != EEXIST)
-    return Status::Failed(path_.string() + ": no FIFO can be made: " + Why());
+    return Status::Failed(path_.string() + ": cannot create a FIFO: " + Why());
   struct stat found {};
   // Before it is opened: some devices act on that.
   if (lstat(path_.c_str(), &found) != 0) return Status::Failed(path_.string() + ": " + Why());
   if (!S_ISFIFO(found.st_mode))
-    return Status::Usage(path_.string() + ": it is there and no FIFO; name a path where one can be made");
+    return Status::Usage(path_.string() + ": it exists and is not a FIFO; name a path where one can be created");
   held_ = UniqueFd(open(path_.c_str(), O_RDONLY | O_NONBLOCK | O_CLOEXEC | O_NOFOLLOW));
   struct stat opened {};
   if (!held_.ok() || fstat(held_.get(), &opened) != 0) return Status::Failed(path_.string() + ": " + Why());
-  if (!S_ISFIFO(opened.st_mode)) return Status::Usage(path_.string() + ": no FIFO any more");
+  if (!S_ISFIFO(opened.st_mode)) return Status::Usage(path_.string() + ": no longer a FIFO");
   if (opened.st_uid != geteuid() || (opened.st_mode & 077U) != 0)
     return Status::Usage(path_.string() + ": a FIFO that others own or may use; remove it, or name another path");
   if (flock(held_.get(), LOCK_EX | LOCK_NB) == 0) return Status::Ok();

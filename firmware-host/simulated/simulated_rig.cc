@@ -84,7 +84,7 @@ Result<SkinTable> TableFor(const SimulatedRigOptions& options, const SceneDescri
   }
   SLX_ASSIGN_OR_RETURN(SkinTable table, std::move(loaded));
   if ((table.nodes() == 1) != wax)
-    return Status::Usage("skin table " + options.skin_table + ": of " +
+    return Status::Usage("skin table " + options.skin_table + ": it is for " +
                          (wax ? "skin, the scene is a slab of wax" : "wax, the scene is of skin"));
   SLX_RETURN_IF_ERROR(CheckSkin(table, scene, seed));
   return WithSubcutisOf(scene, seed, std::move(table));

@@ -142,8 +142,8 @@ TEST_F(DamagedStore, AManifestThatIsNoneIsFoundAndTheFramesStayReadable) {
   const std::array<std::array<std::string, 2>, 6> cases = {{{"", "parse error at line 1"},
                                                             {intact.substr(0, 100), "parse error at line "},
                                                             {"[1, 2]\n", "not a JSON object"},
-                                                            {"{\"schema\": \"one\"}", "'schema' is no number"},
-                                                            {kind, "not what its own hash says"},
+                                                            {"{\"schema\": \"one\"}", "'schema' is not a number"},
+                                                            {kind, "does not match its own hash"},
                                                             {newer, "schema 99 is newer"}}};
   for (const auto& [text, part] : cases) {
     WriteText(manifest, text);

@@ -88,7 +88,7 @@ TEST_F(EncryptedNight, IsFittedWhereTheReadersKeyIsAndNamesWhoseKeyDidNotCome) {
   const Outcome blind = Night("");
   EXPECT_THAT(blind.out, HasSubstr("0 visitors to fit")) << blind.out;
   EXPECT_THAT(Morning(), HasSubstr(shared + "  key"));
-  EXPECT_THAT(Morning(), HasSubstr("a sealed copy is, but no reader's key was given"));
+  EXPECT_THAT(Morning(), HasSubstr("there is a sealed copy, but no reader's key was given"));
   EXPECT_EQ(StoredLayers(there_, shared), "");
 
   const Outcome night = Night(with_reader_);

@@ -247,7 +247,7 @@ TEST_F(Export, OfASessionWithoutAFitIsTheSurfaceByAllLights) {
   put(offset, blind);
   put(placed, blind_placed);
   fs::remove_all(Session(store) / "fits");
-  EXPECT_THAT(Db(store, "reindex").out, HasSubstr("it is listed no longer"));
+  EXPECT_THAT(Db(store, "reindex").out, HasSubstr("it is no longer listed"));
   const Outcome bare = Fit(store, To(folder_ / "face"));
   EXPECT_EQ(bare.code, 0) << bare.out;
   EXPECT_THAT(bare.out, HasSubstr("the surface of its stage placed_shape"));

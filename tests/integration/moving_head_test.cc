@@ -114,7 +114,7 @@ TEST_F(MovingHead, AJumpIsCapturedAnewFoundAndMadeUpFor) {
   Capture(ReadText(fs::path(STRATALUX_SOURCE_DIR) / "docs/examples/scenes/bearded.toml") +
               "\n[[fault]]\nkind = \"subject_moved\"\nat = 350\nvalue = " + std::to_string(kJump_mm) + "\n",
           " --seed 3");
-  EXPECT_THAT(capture_.out, HasSubstr("captured anew"));
+  EXPECT_THAT(capture_.out, HasSubstr("captured again"));
 
   const FaceShape carried = Reconstruct("");
   const HeadMotion& head = carried.motion.head;

@@ -81,11 +81,11 @@ class Preview(unittest.TestCase):
         field.clear()
         field.send_keys("5000")
         self.click("#expose button")
-        self.until("document.getElementById('refused').textContent.includes('an exposure lies in')", "refused")
+        self.until("document.getElementById('refused').textContent.includes('the exposure must be in')", "refused")
         # The next pictures do not take it away; the next choice does.
         self.browser.execute_script("window.seen = document.getElementById('picture').src")
         self.until("document.getElementById('picture').src !== window.seen", "another picture")
-        self.assertIn("an exposure lies in", self.browser.find_element("id", "refused").text)
+        self.assertIn("the exposure must be in", self.browser.find_element("id", "refused").text)
         browser.complaints(self.browser)
         field.clear()
         field.send_keys("8")

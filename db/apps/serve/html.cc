@@ -140,7 +140,7 @@ http::Response Page(const std::string& section, const std::string& title, const 
       "<link rel=\"stylesheet\" href=\"/style.css\"></head><body>"
       "<a class=\"skip\" href=\"#main\">Skip to the content</a><header><p class=\"name\">Stratalux store</p>" +
       Navigation(section) + "</header><main id=\"main\" tabindex=\"-1\"><h1>" + Escape(title) + "</h1>" + main +
-      "</main><footer><p>Read-only. Looking at pictures and reports is entered in the access log.</p></footer>"
+      "</main><footer><p>Read-only. Viewing pictures and reports is recorded in the access log.</p></footer>"
       "</body></html>\n";
   return http::Response::Of("text/html; charset=utf-8", text, status);
 }

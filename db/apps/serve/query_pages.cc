@@ -32,7 +32,7 @@ Result<QueryParameters> ParametersOf(const NamedQuery& query, const Request& req
     if (text.empty()) continue;
     if (name == "rig" || name == "kind") parameters[name] = text;
     if (name == "kind" && !ParseFindingKind(text).ok())
-      return Status::Usage("kind '" + text + "' is no kind of finding; such as moved, lamp, no-proof");
+      return Status::Usage("kind '" + text + "' is not a kind of finding, such as moved, lamp, no-proof");
     if (name == "since" || name == "until") {
       SLX_ASSIGN_OR_RETURN(const WallNs moment, ParseMoment(text, now).WithContext(name));
       parameters[name + "_ns"] = moment.ns;

@@ -69,7 +69,8 @@ Result<std::string> Notes(Site& site, ReadOnlyIndex& index) {
   if (!due.rows.empty())
     items += "<li>" + std::to_string(due.rows.size()) +
              " session(s) past their retention: " + Link("/consent", "consent and retention") + "</li>";
-  return "<h2>Notes</h2>" + (items.empty() ? "<p>Nothing waits.</p>" : "<ul class=\"notes\">" + items + "</ul>");
+  return "<h2>Notes</h2>" +
+         (items.empty() ? "<p>Nothing needs attention.</p>" : "<ul class=\"notes\">" + items + "</ul>");
 }
 
 Result<std::string> Overview(Site& site) {
@@ -103,9 +104,11 @@ Result<std::string> ConsentAndRetention(Site& site) {
   SLX_ASSIGN_OR_RETURN(const auto missing, Ask(index, "consent-missing", int64_t{1000}));
   SLX_ASSIGN_OR_RETURN(const auto consents, ListConsents(site.store(), ""));
   const RetentionDays days;
-  return "<h2>Due</h2><p>Visitors' sessions past the days of their class (short " + std::to_string(days.short_days) +
-         ", standard " + std::to_string(days.standard_days) + ", long " + std::to_string(days.long_days) +
-         " days), or of a withdrawn consent. <code>stratalux-db purge</code> forgets them; a rig's configuration may"
+  return "<h2>Due</h2><p>Visitors' sessions that are older than their class allows (short " +
+         std::to_string(days.short_days) + ", standard " + std::to_string(days.standard_days) + ", long " +
+         std::to_string(days.long_days) +
+         " days), or whose consent was withdrawn. <code>stratalux-db purge</code> forgets them; a rig's configuration "
+         "may"
          " set other days.</p>" +
          HtmlTable(due, "Sessions that are due") + "<h2>Without consent</h2>" +
          HtmlTable(missing, "Visitors' sessions that no consent covers") + "<h2>Consents</h2>" +

@@ -1,4 +1,4 @@
--- consent-missing: Which visitors' sessions lie here without a consent that holds?
+-- consent-missing: Which visitors' sessions are here without a valid consent?
 -- Simulated sessions show nobody. A withdrawn consent calls for `stratalux-db forget`.
 -- parameters: since until rig limit
 -- column session      text   id

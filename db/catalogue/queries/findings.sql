@@ -5,14 +5,14 @@
 -- column session      text   id
 -- column started      time   UTC
 -- column rig          text
--- column visit        text   its attempts share it; empty: not one of several
+-- column visit        text   shared by its attempts; empty: not one of several
 -- column attempt      number of the visit, from 1; 0: not counted
 -- column status       text   complete, degraded or failed
 -- column kind         text   of the finding, such as moved
--- column projector    number 0-based; none: of all of them, or of none
--- column step         number of the plan; none: of none
+-- column projector    number 0-based; none: all of them, or no projector
+-- column step         number of the plan; none: no step
 -- column value        number what was found
--- column limit        number that it was held against
+-- column limit        number that it was compared with
 -- column detail       text   a device's own words
 SELECT f.id AS session, f.started_wall_ns AS started, f.rig, f.visit, f.attempt, f.status, f.kind, f.projector, f.step,
        f.value, f."limit", f.detail

@@ -47,8 +47,8 @@ std::optional<int64_t> WholeNumber(std::string_view word) { return WholeWord<int
 Status MeshBuilder::AddVertex(const Eigen::Vector3d& vertex) {
   if (vertices() >= kMostMeshVertices) return TooMany("vertices", kMostMeshVertices);
   if (!vertex.allFinite() || vertex.cwiseAbs().maxCoeff() > kLargestCoordinate)
-    return Status::Usage(Formatted("vertex (%g, %g, %g) is no place; coordinates are numbers up to %g", vertex.x(),
-                                   vertex.y(), vertex.z(), kLargestCoordinate));
+    return Status::Usage(Formatted("vertex (%g, %g, %g) is not a position; coordinates are numbers up to %g",
+                                   vertex.x(), vertex.y(), vertex.z(), kLargestCoordinate));
   mesh_.vertices.push_back(vertex);
   return Status::Ok();
 }
@@ -57,7 +57,7 @@ Status MeshBuilder::AddTexture(const Eigen::Vector2d& at) {
   if (texture() >= 3 * kMostMeshTriangles) return TooMany("texture coordinates", 3 * kMostMeshTriangles);
   if (!at.allFinite() || at.cwiseAbs().maxCoeff() > kLargestTexture)
     return Status::Usage(
-        Formatted("texture coordinates (%g, %g) are no place in a picture; 0 to 1 lies within it", at.x(), at.y()));
+        Formatted("texture coordinates (%g, %g) are not a place in a picture; 0 to 1 lies within it", at.x(), at.y()));
   mesh_.texture.push_back(at);
   return Status::Ok();
 }
@@ -65,14 +65,14 @@ Status MeshBuilder::AddTexture(const Eigen::Vector2d& at) {
 Status MeshBuilder::AddNormal(const Eigen::Vector3d& normal) {
   if (normals() >= 3 * kMostMeshTriangles) return TooMany("normals", 3 * kMostMeshTriangles);
   if (!normal.allFinite() || normal.cwiseAbs().maxCoeff() > kLargestCoordinate)
-    return Status::Usage(Formatted("normal (%g, %g, %g) is no direction", normal.x(), normal.y(), normal.z()));
+    return Status::Usage(Formatted("normal (%g, %g, %g) is not a direction", normal.x(), normal.y(), normal.z()));
   mesh_.normals.push_back(normal);
   return Status::Ok();
 }
 
 Status MeshBuilder::AddPolygon(const std::vector<Corner>& corners) {
   if (corners.size() < 3)
-    return Status::Usage(Formatted("a face of %zu corners; three are the fewest", corners.size()));
+    return Status::Usage(Formatted("a face of %zu corners; it needs at least three", corners.size()));
   bool has_texture = true, has_normals = true;
   for (const Corner& corner : corners) {
     SLX_RETURN_IF_ERROR(CheckIndex("vertex", corner.vertex, vertices()));

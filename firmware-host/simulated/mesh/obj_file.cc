@@ -20,7 +20,7 @@ std::string_view TakeWord(std::string_view& line) {
 }
 
 Status NoNumber(std::string_view word, const char* what) {
-  return Status::Usage("'" + Printable(word.substr(0, 40)) + "' is no number; " + what);
+  return Status::Usage("'" + Printable(word.substr(0, 40)) + "' is not a number; " + what);
 }
 
 // The first `count` numbers of a line; what follows them (weights, colours) is somebody else's.
@@ -41,7 +41,7 @@ Result<int64_t> TakeIndex(std::string_view word, int64_t count) {
   const auto index = WholeNumber(word);
   if (!index || *index == 0 || *index > count || *index < -count)
     return Status::Usage("index '" + Printable(word.substr(0, 40)) +
-                         Formatted("' is not among the %lld before this line; it goes from 1, or from -1 backwards",
+                         Formatted("' is not among the %lld before this line; it counts from 1, or backwards from -1",
                                    static_cast<long long>(count)));
   return *index > 0 ? *index - 1 : count + *index;
 }

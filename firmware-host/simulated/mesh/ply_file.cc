@@ -107,7 +107,7 @@ class Body {
     bytes_.remove_prefix(end);
     if (word.empty()) return Status::Usage("the file ends here; write it again");
     const auto value = FiniteNumber(word);
-    if (!value) return Status::Usage("'" + Printable(word.substr(0, 40)) + "' is no number");
+    if (!value) return Status::Usage("'" + Printable(word.substr(0, 40)) + "' is not a number");
     return *value;
   }
 
@@ -160,7 +160,7 @@ Status TakeHeaderLine(const std::vector<std::string>& words, Header& header) {
       return Status::Ok();
     }
   }
-  return Status::Usage("'" + Printable(words[0]) + " ...' is no line of a header as PLY has it");
+  return Status::Usage("'" + Printable(words[0]) + " ...' is not a line of a PLY header");
 }
 
 Result<Header> TakeHeader(std::string_view bytes, const std::string& name) {
@@ -178,7 +178,7 @@ Result<Header> TakeHeader(std::string_view bytes, const std::string& name) {
       continue;
     }
     if (words.size() == 1 && words[0] == "end_header") {
-      if (!formatted) return Status::Usage(where + ": no line says the format");
+      if (!formatted) return Status::Usage(where + ": no line gives the format");
       return header;
     }
     formatted = formatted || (!words.empty() && words[0] == "format");
@@ -278,9 +278,9 @@ Result<MeshData> ParsePly(std::string_view bytes, const std::string& name) {
       return Status::Usage(what + Formatted(" claims %lld rows, more than the file holds; write it again",
                                             static_cast<long long>(element.rows)));
     if (vertex && !Columns::AllScalars(columns.place, element))
-      return Status::Usage(what + ": without properties x, y and z");
+      return Status::Usage(what + ": lacks the properties x, y and z");
     if (face && (columns.corners < 0 || !element.properties[columns.corners].count))
-      return Status::Usage(what + ": without a list vertex_indices");
+      return Status::Usage(what + ": lacks a list vertex_indices");
     if (face && columns.corner_texture >= 0 && !element.properties[columns.corner_texture].count)
       return Status::Usage(what + ": texcoord is a list");
     if (vertex) {

@@ -143,12 +143,12 @@ Status CheckMesh(const SceneDescription& scene) {
   const std::string where = "scene " + scene.name + ": ";
   if (mesh.file.empty()) return Status::Usage(where + "shape mesh takes a scene file with [mesh] file = \"head.obj\"");
   if (DirectionOf(mesh.up).dot(DirectionOf(mesh.front)) != 0.0)
-    return Status::Usage(where + "[mesh] up and front lie along one axis; name two");
+    return Status::Usage(where + "[mesh] up and front lie along the same axis; name two");
   if (mesh.subdivisions > 0 && mesh.crease_deg)
     return Status::Usage(where + "[mesh] subdivisions makes the whole surface smooth; leave crease_deg out");
   if (!mesh.albedo.empty() && scene.skin.person)
     return Status::Usage(where +
-                         "[skin] person brings melanin and blood, which are solved from [mesh] albedo; leave one of "
+                         "[skin] person sets melanin and blood, which are solved from [mesh] albedo; leave one of "
                          "them out (epidermis_mm and scattering are keys of their own)");
   if (!mesh.albedo.empty() && (scene.skin.melanin || scene.skin.blood))
     return Status::Usage(where + "[skin] melanin and blood are solved from [mesh] albedo; leave one of them out");
@@ -223,7 +223,7 @@ Status SceneDescription::Validate() const {
 Status SceneDescription::TakePose(int index) {
   if (index < 0 || poses.empty()) return Status::Ok();
   if (index >= static_cast<int>(poses.size()))
-    return Status::Usage("pose " + std::to_string(index) + " is not there; the scene has poses 0 .. " +
+    return Status::Usage("pose " + std::to_string(index) + " does not exist; the scene has poses 0 .. " +
                          std::to_string(poses.size() - 1));
   pose = poses[static_cast<size_t>(index)];
   return Status::Ok();

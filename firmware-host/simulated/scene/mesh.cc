@@ -95,7 +95,7 @@ Result<std::shared_ptr<const Mesh>> Mesh::Create(const MeshDescription& descript
                                     [](const MeshData::Triangle& t) { return t.texture[0] != MeshData::kNone; });
   if (!textured)
     return Status::Usage(description.file +
-                         ": some faces have no texture coordinates, by which [mesh] albedo is laid on; leave it out");
+                         ": some faces have no texture coordinates, which [mesh] albedo needs; leave it out");
   if (description.flip_v)
     for (Eigen::Vector2d& at : mesh.texture) at.y() = 1.0 - at.y();
   if (table == nullptr) return Status::Usage(description.albedo + ": [mesh] albedo is solved against a skin table");

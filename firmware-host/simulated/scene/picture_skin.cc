@@ -100,9 +100,9 @@ Result<PictureSkin> PictureSkin::Read(const std::filesystem::path& file, double 
     return Status::Usage(picture.status().message() +
                          "; [mesh] albedo takes a PNG file (convert albedo.jpg albedo.png)");
   if (picture->channels() != 3)
-    return Status::Usage(file.string() + ": a picture without colours; [mesh] albedo takes R, G and B");
+    return Status::Usage(file.string() + ": a picture without colours; [mesh] albedo needs R, G and B");
   if (picture->size() / 3 > kMostTexels)
-    return Status::Usage(file.string() + Formatted(": %d x %d texels, at most %zu are taken; make it smaller",
+    return Status::Usage(file.string() + Formatted(": %d x %d texels, at most %zu are allowed; make it smaller",
                                                    picture->width(), picture->height(), kMostTexels));
   return PictureSkin(*picture, bits, scale, albedo, like);
 }

@@ -64,7 +64,7 @@ Status WritePackedTable(const std::string& path, const PackedTableKind& kind, co
 }
 
 Status OfAnotherGrid(const std::string& path, const PackedTableKind& kind) {
-  return Damaged(path, kind, "truncated, or of another grid");
+  return Damaged(path, kind, "truncated, or with another grid");
 }
 
 Result<PackedTable> ReadPackedTable(const std::string& path, const PackedTableKind& kind) {

@@ -357,9 +357,9 @@ Status SkinTable::CheckScattering(double scattering) const {
   constexpr double kRounding = 1e-6;
   const double least = scatterings().front(), most = scatterings().back();
   if (scattering >= least - kRounding && scattering <= most + kRounding) return Status::Ok();
-  const std::string known = least == most ? Formatted("%g alone", least) : Formatted("%g .. %g", least, most);
+  const std::string known = least == most ? Formatted("only %g", least) : Formatted("%g .. %g", least, most);
   return Status::Usage(Formatted("scattering = %g: the skin table knows ", scattering) + known +
-                       "; `stratalux-skin-table generate --scattering` makes one of others");
+                       "; `stratalux-skin-table generate --scattering` makes one for others");
 }
 
 SkinTable::SkinTable(const SkinTableRun& run, std::vector<double> scatterings, std::vector<uint16_t> codes) {

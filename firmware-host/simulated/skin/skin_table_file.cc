@@ -15,7 +15,7 @@ namespace stratalux::rig {
 namespace {
 
 using G = SkinGrid;
-constexpr PackedTableKind kKind = {"skin table", "SLXSKIN", '3', "`stratalux-skin-table generate`, of wax with --wax"};
+constexpr PackedTableKind kKind = {"skin table", "SLXSKIN", '3', "`stratalux-skin-table generate`, for wax with --wax"};
 
 // Calls visit(first cell, first cell of the node that predicts it or SIZE_MAX) in the order of the file.
 template <typename Visit>

@@ -60,7 +60,7 @@ Status LineSpreadOptions::Validate() const {
   if (!(half_width_mm > 0.0 && half_width_mm <= kMostMm))
     return Status::Usage(Formatted("profiles: half width = %g mm, allowed: above 0 .. %g", half_width_mm, kMostMm));
   if (!(step_mm > 0.0) || !(half_width_mm / step_mm <= kMostSteps))
-    return Status::Usage(Formatted("profiles: step = %g mm, allowed: %g (%g steps to the half width) and more", step_mm,
+    return Status::Usage(Formatted("profiles: step = %g mm, allowed: %g (%g steps to the half width) or more", step_mm,
                                    half_width_mm / kMostSteps, kMostSteps));
   for (const double slit : slit_mm)
     if (!(slit > 0.0 && slit <= kMostMm))

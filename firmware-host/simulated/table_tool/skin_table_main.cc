@@ -62,7 +62,7 @@ int Generate(TableKind kind, const std::string& out, const SkinTableRun& run, co
     const auto table = SkinTable::Load(file);
     if (!table.ok()) return Report(logger, table.status());
     if (!table->IsOf(run))
-      return Report(logger, Status::Usage(Formatted("--made %s: not of %lld photons and seed %llu", file.c_str(),
+      return Report(logger, Status::Usage(Formatted("--made %s: not made with %lld photons and seed %llu", file.c_str(),
                                                     static_cast<long long>(run.photons),
                                                     static_cast<unsigned long long>(run.seed))));
     tables.push_back(*table);
@@ -76,7 +76,7 @@ int Generate(TableKind kind, const std::string& out, const SkinTableRun& run, co
 }
 
 Status OwnSeed(uint64_t seed) {
-  return Status::Usage(Formatted("--seed %llu: the table's own, whose photons agree with themselves; take another",
+  return Status::Usage(Formatted("--seed %llu: the table's own seed, which repeats its photons; use another",
                                  static_cast<unsigned long long>(seed)));
 }
 
@@ -84,7 +84,7 @@ int Check(const std::string& file, const SkinColumn& column, int64_t photons, ui
   Logger logger;
   const auto table = SkinTable::Load(file);
   if (!table.ok()) return Report(logger, table.status());
-  if (table->nodes() == 1) return Report(logger, Status::Usage(file + ": a table of wax; check knows skin"));
+  if (table->nodes() == 1) return Report(logger, Status::Usage(file + ": a table of wax; check needs one of skin"));
   if (column.scattering >= std::ssize(table->scatterings()))
     return Report(logger,
                   Status::Usage(file + ": has " + std::to_string(table->scatterings().size()) +
@@ -142,7 +142,7 @@ int CheckBetweenNodes(const std::string& file, const SkinTableRun& run, double s
   Logger logger;
   const auto table = SkinTable::Load(file);
   if (!table.ok()) return Report(logger, table.status());
-  if (table->nodes() == 1) return Report(logger, Status::Usage(file + ": a table of wax; check knows skin"));
+  if (table->nodes() == 1) return Report(logger, Status::Usage(file + ": a table of wax; check needs one of skin"));
   InterpolationCheckOptions options;
   if (const Status known = table->CheckScattering(scattering); !known.ok()) return Report(logger, known);
   options.photons = run.photons;
@@ -158,7 +158,7 @@ int CheckBetweenNodes(const std::string& file, const SkinTableRun& run, double s
   for (int c = 0; c < kSkinChannels; ++c) {
     const InterpolationSummary all = Summarise(samples, c, -1, 0.16);
     if (all.samples == 0)
-      return Report(logger, Status::Usage(Formatted("--photons %lld: too few to tell any total to 2 %%",
+      return Report(logger, Status::Usage(Formatted("--photons %lld: too few to measure any total to 2 %%",
                                                     static_cast<long long>(run.photons))));
     if (!(std::abs(all.largest) <= 0.05)) return 1;
   }
@@ -174,7 +174,7 @@ int CheckOtherSubcutis(const std::string& file, const SkinTableRun& run) {
   const auto table = SubcutisTable::Load(file);
   if (!table.ok()) return Report(logger, table.status());
   if (table->scatterings().size() < 2)
-    return Report(logger, Status::Usage(file + ": has one scattering; check takes two and more"));
+    return Report(logger, Status::Usage(file + ": has one scattering; check needs two or more"));
   if (table->seed() == run.seed) return Report(logger, OwnSeed(run.seed));
   bool missed = false;
   PrintRingsHeader("| subcutis | at | colour |");
@@ -235,7 +235,8 @@ int People(const PeopleRequest& request) {
     return Report(logger, Status::Usage("--csv - and --json both want stdout: give --csv a file"));
   const auto table = SkinTable::Load(request.table.empty() ? SkinTable::DefaultPath() : request.table);
   if (!table.ok()) return Report(logger, table.status());
-  if (table->nodes() == 1) return Report(logger, Status::Usage(request.table + ": a table of wax; people have skin"));
+  if (table->nodes() == 1)
+    return Report(logger, Status::Usage(request.table + ": a table of wax; people need one of skin"));
   for (const double scattering : {kPeopleScattering.front(), kPeopleScattering.back()})
     if (const Status known = table->CheckScattering(scattering); !known.ok()) return Report(logger, known);
   if (request.first > kMostPeople - request.people)
@@ -284,10 +285,9 @@ int Main(int argc, char** argv) {
 
   auto* generate = app.add_subcommand("generate", "Make the whole table");
   bool wax = false, subcutis = false;
-  auto* of_wax = generate->add_flag("--wax", wax, "The slab of wax instead of skin");
-  auto* of_subcutis =
-      generate->add_flag("--subcutis", subcutis,
-                         "Instead: what a subcutis that absorbs more or begins less deep does to the skin's light");
+  auto* of_wax = generate->add_flag("--wax", wax, "A table for the slab of wax instead of skin");
+  auto* of_subcutis = generate->add_flag(
+      "--subcutis", subcutis, "Instead: how a subcutis that absorbs more or begins less deep changes the skin's light");
   of_subcutis->excludes(of_wax);
   generate
       ->add_option("--photons", run.photons,
@@ -297,16 +297,16 @@ int Main(int argc, char** argv) {
   generate->add_option("--threads", run.threads, "Threads (0: all cores)");
   generate
       ->add_option("--scattering", scatterings,
-                   "The table's nodes of scattering, rising, over that of tissue samples (living skin: 0.6 to 0.7)")
+                   "The table's nodes of scattering, rising, relative to tissue samples (living skin: 0.6 to 0.7)")
       ->capture_default_str()
       ->excludes(of_wax);
   std::vector<std::string> made;
-  generate->add_option("--made", made, "Tables of these photons and this seed: their scatterings are not run again")
+  generate->add_option("--made", made, "Tables with the same photons and seed: their scatterings are not run again")
       ->excludes(of_subcutis)
       ->excludes(of_wax);
   generate->add_option("--out", out, "File to write")->required();
-  auto* check =
-      app.add_subcommand("check", "Regenerate one cell by other photons and compare; exit 1 beyond 4 standard errors");
+  auto* check = app.add_subcommand(
+      "check", "Regenerate one cell with other photons and compare; exit 1 beyond 4 standard errors");
   check->add_option("table", file, "Table file")->required();
   check->add_option("--channel", column.channel, "0 R, 1 G, 2 B")->check(CLI::Range(0, 2));
   check->add_option("--in", column.in, "Incidence bin")->check(CLI::Range(0, 4));
@@ -318,7 +318,7 @@ int Main(int argc, char** argv) {
   check->add_flag(
       "--interpolation", interpolation,
       "Instead: the table between its nodes against fresh Monte Carlo, rms / largest deviation in per cent");
-  check->add_option("--scattering", between, "With --interpolation: of the skins")->capture_default_str();
+  check->add_option("--scattering", between, "With --interpolation: scattering of the skins")->capture_default_str();
   bool other_subcutis = false;
   check->add_flag(
       "--subcutis", other_subcutis,
@@ -327,18 +327,19 @@ int Main(int argc, char** argv) {
   check->add_option("--threads", run.threads, "Threads (0: all cores)");
   check->add_option("--photons", run.photons, "Photons")->check(CLI::PositiveNumber);
   uint64_t check_seed = 1001;
-  check->add_option("--seed", check_seed, "Seed, another than the table's")->capture_default_str();
+  check->add_option("--seed", check_seed, "Seed; must differ from the table's")->capture_default_str();
   auto* spread = app.add_subcommand("profiles", "Line-spread profiles as CSV for `stratalux-fit profiles`");
   spread->add_option("--melanin", profiles.skin.melanin, "Melanosome fraction of the epidermis")
       ->check(CLI::Range(0.0, 1.0));
   spread->add_option("--blood", profiles.skin.blood, "Blood fraction of the dermis")->check(CLI::Range(0.0, 1.0));
-  spread->add_option("--scattering", profiles.skin.scattering, "Over that of tissue samples")
+  spread->add_option("--scattering", profiles.skin.scattering, "Scattering relative to tissue samples")
       ->check(CLI::Range(0.1, 3.0));
   spread
       ->add_option("--subcutis-absorption", profiles.skin.subcutis_absorption,
-                   "Of the subcutis, over the skin's baseline")
+                   "Absorption of the subcutis, relative to the skin's baseline")
       ->check(CLI::Range(0.0, 100.0));
-  spread->add_option("--skin-mm", profiles.skin.skin_mm, "Where the subcutis begins")->check(CLI::Range(0.2, 10.0));
+  spread->add_option("--skin-mm", profiles.skin.skin_mm, "Depth at which the subcutis begins, mm")
+      ->check(CLI::Range(0.2, 10.0));
   spread->add_option("--channel", profiles.channel, "0 R, 1 G, 2 B")->check(CLI::Range(0, 2));
   spread->add_option("--incidence", profiles.incidence_deg, "Degrees, > 0 travels towards +u")
       ->check(CLI::Range(-85.0, 85.0));
@@ -357,11 +358,13 @@ int Main(int argc, char** argv) {
   population->add_option("--first", people.first, "The first one's number")
       ->check(CLI::Range(0, kMostPeople - 1))
       ->capture_default_str();
-  population->add_option("--seed", people.seed, "Seed (a scene's people are of 1)")->capture_default_str();
-  population->add_option("--csv", people.csv, "Also write each person's skin and reflectance, - for stdout alone");
-  population->add_flag("--json", people.json, "JSON instead of a table for people: summary and each person");
-  population->add_flag("--fit", people.fit, "Fit the population to these people first, and say its numbers on stderr");
-  population->add_option("--table", people.table, "Table file (the shipped one)");
+  population->add_option("--seed", people.seed, "Seed (a scene's people have 1)")->capture_default_str();
+  population->add_option("--csv", people.csv,
+                         "Also write each person's skin and reflectance, - for stdout (no table then)");
+  population->add_flag("--json", people.json, "JSON instead of the text table: summary and each person");
+  population->add_flag("--fit", people.fit,
+                       "Fit the population to these people first, and print its numbers on stderr");
+  population->add_option("--table", people.table, "Table file (default: the shipped one)");
   if (const auto manual = AskedManual(app, "stratalux-skin-table", argc, argv)) {
     std::cout << *manual << std::flush;
     return std::cout ? 0 : 1;

@@ -248,7 +248,7 @@ TEST_F(ServePages, AConsentWithoutFittingCoversNoLook) {
   EXPECT_EQ(picture.headers.at("content-type"), "image/svg+xml");
   EXPECT_THAT(picture.body, HasSubstr("withheld"));
   EXPECT_THAT(Get("/thumbnails/" + id).body, HasSubstr("withheld"));
-  EXPECT_THAT(Get("/sessions/" + id).body, HasSubstr("no consent of the visitor covers looking at them (scope fit)"));
+  EXPECT_THAT(Get("/sessions/" + id).body, HasSubstr("no consent of the visitor allows viewing them (scope fit)"));
   EXPECT_THAT(Get("/sessions/" + id + "/frames/0").body, HasSubstr("pictures are not shown"));
   EXPECT_THAT(Get("/sessions/" + id + "/frames/0").body, Not(HasSubstr("<img")));
   EXPECT_THAT(Get("/sessions/" + id + "/fits/f1").body, Not(HasSubstr("position.exr")));

@@ -55,7 +55,7 @@ TEST_F(SigningTest, TheAuditorTellsACopyFromAForgery) {
   // Every hash made anew, and the rows with them.
   ForgeHeaders(Beside("copy") / "sessions" / id / "frames-0001.seg", [](FrameHeader& h) { h.mean_dn = 3; });
   EXPECT_EQ(Db(audit, Beside("copy")).code, 6);
-  EXPECT_THAT(Db(audit, Beside("copy")).out, HasSubstr("signature.json: the signature is not"));
+  EXPECT_THAT(Db(audit, Beside("copy")).out, HasSubstr("signature.json: the signature does not match"));
 }
 
 TEST_F(SigningTest, AKeyNeedsAStore) {

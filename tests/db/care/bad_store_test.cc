@@ -161,7 +161,7 @@ TEST_F(BadStoreTest, AManifestMustNameWhatIsThere) {
   ASSERT_TRUE(WriteManifest(folder, info, 3, {"../" + second_ + "/frames-0001.seg"}).ok());
   EXPECT_THAT(Problems(store, first_), Contains(HasSubstr("which is not there"))) << "files of others are not its own";
   ASSERT_TRUE(WriteManifest(folder, info, 9, {"frames-0001.seg"}).ok());
-  EXPECT_THAT(Problems(store, first_), Contains(HasSubstr("speaks of 9 frames, the index of 3")));
+  EXPECT_THAT(Problems(store, first_), Contains(HasSubstr("lists 9 frames, the index lists 3")));
   SessionInfo other = info;
   other.status = SessionStatus::kDegraded;
   ASSERT_TRUE(WriteManifest(folder, other, 3, {"frames-0001.seg"}).ok());

@@ -309,7 +309,7 @@ TEST_F(RebuildTest, ADamagedFrameHeaderOfASealedSegmentIsReadByItsCopyInTheFoote
   for (int round = 0; round < 2; ++round) {  // with the old index and without one
     EXPECT_EQ(Command("reindex"), 6);
     EXPECT_THAT(Said(), HasSubstr("the header of frame 1 is damaged (offset " + std::to_string(64 + kFrame) +
-                                  "); its copy in the footer was taken"));
+                                  "); its copy in the footer was used"));
     EXPECT_EQ(InfoOf(id).status, SessionStatus::kComplete) << "no frame is lost";
     ExpectReadable(id, 3);
     LoseIndex();

@@ -157,11 +157,11 @@ TEST_F(ReindexTest, ASessionThatNeverBeganIsANoteToEverybody) {
   const auto expect_note = [&] {
     const ReindexReport report = Rebuild();
     EXPECT_THAT(report.problems, IsEmpty());
-    EXPECT_THAT(report.notes, Contains(HasSubstr("s000009-0badcafe holds no manifest and no frame")));
+    EXPECT_THAT(report.notes, Contains(HasSubstr("s000009-0badcafe has no manifest and no frame")));
     EXPECT_EQ(report.sessions, 1);
     const auto verified = VerifyStore(OpenStore(AccessMode::kReadOnly));
     EXPECT_THAT(verified->problems, IsEmpty());
-    EXPECT_THAT(verified->notes, Contains(HasSubstr("s000009-0badcafe holds no manifest and no frame")));
+    EXPECT_THAT(verified->notes, Contains(HasSubstr("s000009-0badcafe has no manifest and no frame")));
   };
   expect_note();
   WriteText(folder / "manifest.json.new", "{");

@@ -301,7 +301,7 @@ TEST_F(TruthTest, AManifestChangedWithItsHashDisagreesWithTheIndex) {
 
 TEST_F(TruthTest, ASegmentThatWasSealedAnewIsNotTheOneOfTheManifest) {
   ForgeHeaders(Segment(id_), [](FrameHeader& header) { header.crop_x = 99; });
-  EXPECT_THAT(Problems(), Contains(HasSubstr("frames-0001.seg is not the file that the manifest speaks of")));
+  EXPECT_THAT(Problems(), Contains(HasSubstr("frames-0001.seg is not the file that the manifest describes")));
 }
 
 class PlainTruthTest : public StoreTest {

@@ -303,7 +303,7 @@ TEST_F(FitStoreTest, AFitThatIsNotWhatItSaysIsNotAdopted) {
   FlipBits(made / "fit.json", record.find("5000"), 1);
   refused(StatusCode::kIntegrity, "its own hash");
   edited("\"metrics.json\"", "\"../../x\"");
-  refused(StatusCode::kIntegrity, "no file of its folder");
+  refused(StatusCode::kIntegrity, "not a file of its folder");
   edited("\"fit\": \"f1\"", "\"fit\": \"f2\"");
   refused(StatusCode::kIntegrity, "is of fit f2");
   edited(session_, "s000099-00000000");

@@ -318,7 +318,7 @@ TEST_F(JobStoreTest, GoesWithItsSession) {
   EXPECT_EQ(job->request.session, session);
   auto connection = Connection::Open(folder_ / "index.sqlite", Connection::Mode::kReadWrite);
   ASSERT_TRUE(connection->Execute("PRAGMA foreign_keys = ON; DELETE FROM sessions").ok());
-  EXPECT_THAT(jobs.Complete(job->token).message(), HasSubstr("gone with its session"));
+  EXPECT_THAT(jobs.Complete(job->token).message(), HasSubstr("deleted with its session"));
   EXPECT_THAT(*jobs.List(), ::testing::SizeIs(1));
 }
 

@@ -99,7 +99,7 @@ TEST_F(RecoveryTest, RecoveryCutsNothingThroughASymbolicLink) {
   std::filesystem::create_symlink(elsewhere, Segment(id));
   const auto before = ReadBytes(elsewhere);
   const SessionStore store = OpenStore();
-  EXPECT_THAT(store.notes(), ::testing::Contains(HasSubstr("frames-0001.seg is no regular file")));
+  EXPECT_THAT(store.notes(), ::testing::Contains(HasSubstr("frames-0001.seg is not a regular file")));
   EXPECT_EQ(ReadBytes(elsewhere), before);
   EXPECT_EQ(store.ListFrames(id)->size(), 2U) << "reading through it is no harm";
 }

@@ -96,7 +96,8 @@ TEST_F(SignatureTest, AForgedHeaderIsFoundThoughEveryHashFits) {
   const std::string id = StoreSigned();
   ForgeHeaders(Segment(id), [](FrameHeader& header) { header.exposure_ms = 99; });
   MakeAllAnew(id);
-  EXPECT_THAT(Problems(id, VerifyDepth::kHeaders, {}), Contains(HasSubstr("signature.json: the signature is not")));
+  EXPECT_THAT(Problems(id, VerifyDepth::kHeaders, {}),
+              Contains(HasSubstr("signature.json: the signature does not match")));
 }
 
 TEST_F(SignatureTest, AForgedManifestIsFoundThoughEveryHashFits) {
@@ -105,7 +106,8 @@ TEST_F(SignatureTest, AForgedManifestIsFoundThoughEveryHashFits) {
   info.rig = "another";
   ASSERT_TRUE(WriteManifest(folder_ / "sessions" / id, info, 3, {"frames-0001.seg"}).ok());
   MakeAllAnew(id);
-  EXPECT_THAT(Problems(id, VerifyDepth::kHeaders, {}), Contains(HasSubstr("signature.json: the signature is not")));
+  EXPECT_THAT(Problems(id, VerifyDepth::kHeaders, {}),
+              Contains(HasSubstr("signature.json: the signature does not match")));
 }
 
 TEST_F(SignatureTest, AnotherKeyOrNoneIsSaid) {

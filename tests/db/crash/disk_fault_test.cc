@@ -82,7 +82,7 @@ class DiskFaultTest : public CrashTest {
 };
 
 const std::vector<std::string> kFull = {"No space left on device", "disk is full",
-                                        "look at the permissions and the free space"};
+                                        "check the permissions and the free space"};
 const std::vector<std::string> kBroken = {"Input/output error", "disk I/O error"};
 
 TEST_F(DiskFaultTest, AWriteThatFindsNoSpaceOnce) {

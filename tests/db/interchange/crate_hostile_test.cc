@@ -88,11 +88,11 @@ TEST_F(HostileCrates, NoNameLeadsOutside) {
     ExpectRefused(StatusCode::kIntegrity, "not '<sha256>  <path inside the crate>'");
   }
   WriteText(crate_ / kCrateManifestFile, manifest + manifest.substr(0, manifest.find('\n') + 1));
-  ExpectRefused(StatusCode::kIntegrity, "stands there twice");
+  ExpectRefused(StatusCode::kIntegrity, "is listed twice");
   WriteText(crate_ / kCrateManifestFile, manifest);
   Edit(crate_ / kCrateFormatFile, [](auto& json) { json["sessions"] = {"../../x"}; });
   Reseal();
-  ExpectRefused(StatusCode::kIntegrity, "is no session id");
+  ExpectRefused(StatusCode::kIntegrity, "is not a session id");
 }
 
 TEST_F(HostileCrates, LinksAndDevicesAreNotFollowed) {
@@ -101,7 +101,7 @@ TEST_F(HostileCrates, LinksAndDevicesAreNotFollowed) {
   ExpectRefused(StatusCode::kIntegrity, "is a symbolic link");
   fs::remove(In("frames.csv"));
   ASSERT_EQ(mkfifo(In("frames.csv").c_str(), 0600), 0);
-  ExpectRefused(StatusCode::kIntegrity, "is no ordinary file");
+  ExpectRefused(StatusCode::kIntegrity, "is not an ordinary file");
   fs::remove(In("frames.csv"));
   fs::rename(base_ / "frames.csv", In("frames.csv"));
   for (const char* name : {kCrateFormatFile, kCrateManifestFile}) {
@@ -146,7 +146,7 @@ TEST_F(HostileCrates, OddDescriptionsAreRefused) {
   with([](auto& json) { json["@graph"][1]["hasPart"].push_back({{"@id", "#nothing"}}); }, "is not described");
   with([](auto& json) { json["@graph"][1]["hasPart"] = "all"; }, "names no @id");
   with([](auto& json) { json["@graph"].erase(0); }, "no metadata descriptor");
-  with([](auto& json) { json["@graph"][0]["about"] = {{"@id", "#x"}}; }, "no root Dataset");
+  with([](auto& json) { json["@graph"][0]["about"] = {{"@id", "#x"}}; }, "a root Dataset");
   with([](auto& json) { json["@graph"][2].erase("@type"); }, "has no @type");
   with([](auto& json) { json["@graph"][2]["@id"] = 7; }, "has no @id");
   with([](auto& json) { json["@graph"] = 7; }, "flat @graph");
@@ -157,7 +157,7 @@ TEST_F(HostileCrates, OddDescriptionsAreRefused) {
   ExpectRefused(StatusCode::kIntegrity, "nests deeper");
   WriteText(file, "[1, 2");
   Reseal();
-  ExpectRefused(StatusCode::kIntegrity, "no JSON");
+  ExpectRefused(StatusCode::kIntegrity, "not JSON");
 }
 
 TEST_F(HostileCrates, OddFactsAreRefused) {
@@ -238,8 +238,8 @@ TEST_F(HostileCrates, PassTheGateIntoTheIndexOrStayOutside) {
     ExpectRefused(StatusCode::kIntegrity, complaint);
     WriteText(table, table_before);
   };
-  with_cell("step", "-1", "frame 0: step -1 is none");
-  with_cell("projector", "-2", "frame 0: projector -2 is none");
+  with_cell("step", "-1", "frame 0: step -1 is out of range");
+  with_cell("projector", "-2", "frame 0: projector -2 is out of range");
   with_cell("exposure_ms", "-0.5", "frame 0: exposure");
   Reseal();
   EXPECT_TRUE(Import().ok());
@@ -276,7 +276,7 @@ TEST_F(HostileCrates, OddRowsAreRefusedWithTheirLine) {
   with(row + ",1", "frames.csv:2: not 31 cells");
   with(row.substr(0, 30), "frames.csv:2: not 31 cells");
   with(row + "\n" + row, "out of order");
-  with("\"" + row, "breaks off");
+  with("\"" + row, "the table is cut off");
   with(std::string(20000, 'x'), "a line of more than");
   with(cell("frames/000000", "frames/000009"), "is not in the crate");
   WriteText(file, before.substr(0, first));
@@ -291,7 +291,7 @@ TEST_F(HostileCrates, AnotherPictureUnderARightChecksumIsFound) {
   std::sort(names.begin(), names.end());
   fs::copy_file(names[4], names[5], fs::copy_options::overwrite_existing);
   Reseal();
-  ExpectRefused(StatusCode::kIntegrity, "its pixels are not those");
+  ExpectRefused(StatusCode::kIntegrity, "its pixels do not match their hash");
   WriteText(names[5], "II*");
   Reseal();
   ExpectRefused(StatusCode::kIntegrity, names[5].filename().string());

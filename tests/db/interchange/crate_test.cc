@@ -195,7 +195,7 @@ TEST_F(Crates, TheForgottenDoNotComeBack) {
   ASSERT_EQ(Db("forget " + visit + " --yes").code, 0);
   const Outcome imported = Db("import --crate " + (base_ / "elsewhere").string());
   EXPECT_EQ(imported.code, 3) << imported.out;
-  EXPECT_THAT(imported.out, HasSubstr("was forgotten here and does not come back"));
+  EXPECT_THAT(imported.out, HasSubstr("was forgotten here and is not imported again"));
   EXPECT_FALSE(fs::exists(folder_ / "sessions" / visit));
   EXPECT_THAT(imported.out, HasSubstr("1 here already"));
 }

@@ -163,7 +163,7 @@ TEST_F(ImportTest, WarnsOfWhiteThatIsReadOnceAndListedTwice) {
   const auto whites = notes(std::string(kHead) + kPoses + kFiles + white + white);
   ASSERT_EQ(whites.size(), 2U) << "one a pose";
   EXPECT_THAT(whites[1], HasSubstr("'white' of projector 0, pose 7, phase reference is listed at"));
-  EXPECT_THAT(whites[1], HasSubstr("read the last one alone"));
+  EXPECT_THAT(whites[1], HasSubstr("use only the last one"));
   EXPECT_EQ(notes(std::string(kHead) + kPoses + kFiles + black + black).size(), 2U);
   // Where poses are not numbered, and in other phases, stages take the mean of all.
   EXPECT_THAT(notes(std::string(kHead) + black + black), IsEmpty());
@@ -223,7 +223,7 @@ TEST_F(ImportTest, RefusesFilesOfAnotherKindThanStated) {
   Write16("a/white.png", 7);
   ExpectRefused(manifest, "a/white.png: has 16 bits");
   Write8("a/white.png", 1, 20, 11);
-  ExpectRefused(manifest, "a/white.png: is 20x11, the first file of its pose 20x10");
+  ExpectRefused(manifest, "a/white.png: is 20x11, but the first file of its pose is 20x10");
   Write8("a/white.png", 1, 20, 10, 3);
   ExpectRefused(manifest, "colour");
   WriteText(files_() / "a/white.png", "GIF89a");

@@ -71,7 +71,7 @@ TEST_F(HeldKeysTest, LandInNoFile) {
   const UniqueFd file(open((folder_ / "keys").c_str(), O_RDWR | O_CREAT, 0600));
   const Status written = WriteKeys(file.get(), {RandomKey()});
   EXPECT_EQ(written.code(), StatusCode::kUsage);
-  EXPECT_THAT(written.message(), HasSubstr("through a pipe alone"));
+  EXPECT_THAT(written.message(), HasSubstr("only through a pipe"));
   EXPECT_EQ(std::filesystem::file_size(folder_ / "keys"), 0U);
   EXPECT_EQ(ReadKeys(file.get()).status().code(), StatusCode::kUsage);
   EXPECT_EQ(ReadKeys(-1).status().code(), StatusCode::kUsage);

@@ -100,7 +100,7 @@ TEST_F(SealedKeyTest, OfAnotherSessionReaderOrKeyAreRefused) {
   renamed.replace(kHeader, std::strlen(kOther), kOther);
   WriteText(SealedKeyFile(folder_ / kOther, IdOf(reader_.public_key())), WithDigest(renamed));
   EXPECT_EQ(Open(kOther).code(), StatusCode::kIntegrity);
-  EXPECT_THAT(Open(kOther).message(), HasSubstr("does not open with the reader's key"));
+  EXPECT_THAT(Open(kOther).message(), HasSubstr("cannot be opened with the reader's key"));
 
   const ReaderKey stranger = *ReaderKey::Create(folder_ / "stranger.key");
   const fs::path strangers = SealedKeyFile(session_, IdOf(stranger.public_key()));

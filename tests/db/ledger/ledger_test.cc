@@ -239,7 +239,7 @@ TEST_F(LedgerTest, AnythingButAFileInAChainsPlaceIsSaidAndDoesNotHang) {
   ASSERT_TRUE(Append(store_, LedgerKind::kForgetting, "s1").ok());
   const fs::path place = store_ / "ledger" / (std::string(32, 'f') + ".jsonl");
   ASSERT_EQ(mkfifo(place.c_str(), 0600), 0);
-  EXPECT_THAT(ReadOf(store_).problems(), ElementsAre(HasSubstr("no regular file")));
+  EXPECT_THAT(ReadOf(store_).problems(), ElementsAre(HasSubstr("not a regular file")));
   EXPECT_TRUE(ReadOf(store_).IsForgotten("s1"));
 }
 
@@ -252,7 +252,7 @@ TEST_F(LedgerTest, AChainThatCannotBeReadFailsWhoeverAsks) {
                                  ReadLedgerNews(store_, {}).status(), MergeLedger(other, store_ / "ledger").status()}) {
       EXPECT_EQ(status.code(), StatusCode::kFailed) << status.message();
       EXPECT_THAT(status.message(), HasSubstr(chain.string()));
-      EXPECT_THAT(status.message(), HasSubstr("put it back from a backup"));
+      EXPECT_THAT(status.message(), HasSubstr("restore it from a backup"));
     }
   };
   WriteText(chain, "");

@@ -46,7 +46,7 @@ bool WasSaid(const std::string& complaint, const std::vector<std::string>& words
   return std::any_of(words.begin(), words.end(), [&complaint](const std::string& word) {
     return word.find(complaint) != std::string::npos ||
            (complaint.find("/ledger/") != std::string::npos && word.find("ledger") != std::string::npos) ||
-           (complaint.ends_with("is missing") && word.find("it may lack files") != std::string::npos);
+           (complaint.ends_with("is missing") && word.find("files may be missing") != std::string::npos);
   });
 }
 

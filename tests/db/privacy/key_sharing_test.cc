@@ -122,7 +122,7 @@ TEST_F(KeySharing, IsReadElsewhereByTheReaderAlone) {
   EXPECT_FALSE(fs::exists(KeyFile(other_))) << "no key of the rig's";
   const Outcome without = ReadThere(id, "");
   EXPECT_EQ(without.code, 4);
-  EXPECT_THAT(without.out, HasSubstr("a sealed copy is, but no reader's key was given ($STRATALUX_READER_KEY)"));
+  EXPECT_THAT(without.out, HasSubstr("there is a sealed copy, but no reader's key was given ($STRATALUX_READER_KEY)"));
   const Outcome with = ReadThere(id, WithReader());
   EXPECT_EQ(with.code, 0) << with.out;
 
@@ -157,7 +157,7 @@ TEST_F(KeySharing, DamagedOnTheWayIsNamedAndKeepsTheSessionNotAway) {
   const Outcome pulled = PullThere();
   EXPECT_EQ(pulled.code, 3);
   EXPECT_THAT(pulled.out, HasSubstr("3 sessions pulled"));
-  EXPECT_THAT(pulled.out, HasSubstr("session " + cut + ": a sealed key was not taken"));
+  EXPECT_THAT(pulled.out, HasSubstr("session " + cut + ": a sealed key was not fetched"));
   EXPECT_EQ(ReadThere(good, WithReader()).code, 0);
   EXPECT_EQ(ReadThere(cut, WithReader()).code, 4);
   EXPECT_THAT(Share().out, HasSubstr("2 keys sealed")) << "what is damaged is made anew";
@@ -187,8 +187,8 @@ TEST_F(KeySharing, AnUnshareThatWasBrokenOffIsNamedAndFinished) {
   const std::string id = StoreSession(1, kSealed);
   ASSERT_EQ(Share().code, 0);
   fs::remove(folder_ / kReadersFolder / (ToHex(reader_) + ".pub"));
-  EXPECT_THAT(Verified(id).problems, ElementsAre(HasSubstr("is sealed to somebody who is no reader of this store")));
-  EXPECT_THAT(Db("key readers").out, HasSubstr("no reader of this store"));
+  EXPECT_THAT(Verified(id).problems, ElementsAre(HasSubstr("is sealed to someone who is not a reader of this store")));
+  EXPECT_THAT(Db("key readers").out, HasSubstr("not a reader of this store"));
   EXPECT_EQ(Db("key unshare " + ToHex(reader_)).code, 0);
   EXPECT_THAT(Verified(id).problems, IsEmpty());
 }
@@ -277,8 +277,8 @@ TEST_F(KeySharing, NoCaptureBeginsWhoseReadersCannotBeRead) {
   SessionStore store = OpenStore();
   const auto writer = store.BeginSession(SimulatedVisit(), kSealed);
   EXPECT_EQ(writer.status().code(), StatusCode::kIntegrity);
-  EXPECT_THAT(writer.status().message(), HasSubstr(".pub is not the public key that it is named for"));
-  EXPECT_THAT(Db("verify").out, HasSubstr(".pub is not the public key"));
+  EXPECT_THAT(writer.status().message(), HasSubstr(".pub does not hold the public key that its name stands for"));
+  EXPECT_THAT(Db("verify").out, HasSubstr(".pub does not hold the public key"));
 }
 
 }  // namespace

@@ -262,7 +262,7 @@ TEST_F(LedgerStoryTest, ForgottenStaysForgottenWithoutItsIndex) {
   EXPECT_EQ(sessions[0].info.id, kept);
   EXPECT_TRUE(ReadLedger().IsForgotten(gone));
   const SessionStore store = OpenStore(AccessMode::kReadOnly);
-  EXPECT_THAT(VerifyStore(store, {})->problems, ElementsAre(HasSubstr("of a session that was forgotten")));
+  EXPECT_THAT(VerifyStore(store, {})->problems, ElementsAre(HasSubstr("to a session that was forgotten")));
 }
 
 TEST_F(LedgerStoryTest, VerifyFindsAChainThatWasCutOrTakenAway) {

@@ -69,7 +69,7 @@ TEST_F(PrivacyCommands, ForgetAsksFirst) {
   EXPECT_EQ(done["leftovers"].size(), 0U);
   const Outcome again = Db("forget " + id + " --yes");
   EXPECT_EQ(again.code, 0);
-  EXPECT_THAT(again.out, HasSubstr("forgotten already"));
+  EXPECT_THAT(again.out, HasSubstr("already forgotten"));
   EXPECT_EQ(Json("deletions")[0]["session"], id);
   EXPECT_EQ(Db("show " + id).code, 4);
 }
@@ -107,7 +107,7 @@ TEST_F(PrivacyCommands, ForgetRemovesAForgottenSessionThatLiesHereAgain) {
     EXPECT_GT(done["markers"], 2);
     EXPECT_FALSE(std::filesystem::exists(back));
     EXPECT_EQ(Db("verify").code, 0);
-    EXPECT_THAT(Db("forget " + id + " --yes").out, HasSubstr("forgotten already"));
+    EXPECT_THAT(Db("forget " + id + " --yes").out, HasSubstr("already forgotten"));
   }
 }
 
@@ -149,7 +149,7 @@ TEST_F(PrivacyCommands, AKeyFileThatIsThereStaysAndIsNotLoggedAgain) {
   ASSERT_EQ(Db(command).code, 0);
   const Outcome again = Db(command);
   EXPECT_EQ(again.code, 2);
-  EXPECT_THAT(again.out, HasSubstr("carried.key is there already; remove it first"));
+  EXPECT_THAT(again.out, HasSubstr("carried.key already exists; remove it first"));
   EXPECT_EQ(Json("access " + id).size(), 1U);
 }
 
@@ -221,7 +221,7 @@ TEST_F(PrivacyCommands, ADryRunOfAPurgeNeedsNoFileOfASession) {
   EXPECT_THAT(text, HasSubstr(", its key (standard"));
   EXPECT_THAT(text, HasSubstr("would be deleted"));
   EXPECT_THAT(text, HasSubstr("2 sessions, 5 frames, 0 fits, " + std::to_string(plan["total"]["bytes"].get<int64_t>()) +
-                              " bytes of frames (by the index"));
+                              " bytes of frames (from the index"));
   const auto none = Json("purge --dry-run");
   EXPECT_EQ(none["sessions"].size(), 0U);
   EXPECT_EQ(none["total"]["sessions"], 0);
@@ -268,7 +268,7 @@ TEST_F(PrivacyCommands, PurgeAndForgetReachWhatABrokenOffPullLeft) {
   {
     const auto transfer = IncomingLock::Take(folder_);
     ASSERT_TRUE(transfer.ok());
-    EXPECT_THAT(Db("purge" + soon).out, HasSubstr("a pull or restore is at work"));
+    EXPECT_THAT(Db("purge" + soon).out, HasSubstr("a pull or restore is running"));
     EXPECT_TRUE(there("s3-c"));
   }
   const auto purged = Json("purge" + soon);

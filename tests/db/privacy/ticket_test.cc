@@ -39,7 +39,7 @@ TEST(Ticket, FindsEveryWrongSymbolAndEveryTwoThatChangedPlaces) {
 TEST(Ticket, SaysWhatIsWrongWithIt) {
   EXPECT_THAT(VisitorOfTicket("").status().message(), HasSubstr("has 0 symbols"));
   EXPECT_THAT(VisitorOfTicket("7K3QZ-M0P4T").status().message(), HasSubstr("has 10 symbols"));
-  EXPECT_THAT(VisitorOfTicket("7K3QZ-M0P4T-U").status().message(), HasSubstr("has a symbol that none has"));
+  EXPECT_THAT(VisitorOfTicket("7K3QZ-M0P4T-U").status().message(), HasSubstr("has a symbol that no code has"));
   EXPECT_THAT(VisitorOfTicket("7K3QZ-M0P4T-4").status().message(), HasSubstr("is mistyped"));
   EXPECT_EQ(VisitorOfTicket("'; DROP TABLE").status().code(), StatusCode::kUsage);
 }

@@ -256,8 +256,8 @@ TEST_F(BackupTest, ARottenCopyIsMadeAgainOrNamedUntilItIsGood) {
   std::filesystem::last_write_time(Segment(gone), time);  // rotted, too: nobody wrote it
   const Outcome outcome = Db("backup --scrub all --store " + folder_.string() + " --to " + backup_.string());
   EXPECT_EQ(outcome.code, 3);
-  EXPECT_THAT(outcome.out, HasSubstr("rotten copy made again: sessions/" + mendable));
-  EXPECT_THAT(outcome.out, HasSubstr("has rotted in the backup, and the store has no good one"));
+  EXPECT_THAT(outcome.out, HasSubstr("damaged copy replaced: sessions/" + mendable));
+  EXPECT_THAT(outcome.out, HasSubstr("is damaged in the backup, and the store has no good one"));
   EXPECT_EQ(ReadBytes(Copied(mendable)), good);
   const auto again = BackUp();  // in turn: what is known to be bad comes first
   ASSERT_TRUE(again.ok());
@@ -290,7 +290,7 @@ TEST_F(BackupTest, AFullDiskIsSaidAndTheEarlierBackupStaysValid) {
       Shell("ulimit -f 100; trap '' XFSZ; " + std::string(STRATALUX_BIN_DIR) + "/stratalux-db backup --store " +
             folder_.string() + " --to " + backup_.string() + " 2>&1");
   EXPECT_EQ(outcome.code, 1) << outcome.out;
-  EXPECT_THAT(outcome.out, HasSubstr("stays valid, and the next run goes on"));
+  EXPECT_THAT(outcome.out, HasSubstr("stays valid, and the next run continues"));
   EXPECT_EQ(ReadBytes(backup_ / "backup.json"), list);
   ASSERT_TRUE(RestoreNew().ok());
   EXPECT_EQ(Ids(other_), std::vector{first});

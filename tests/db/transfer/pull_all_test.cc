@@ -154,7 +154,7 @@ TEST_F(PullAllTest, WhatCameWithinTheLimitIsHereAndTheNextPullGoesOn) {
   const auto pulls = All({"kiosk@stops:" + rig}, {.timeout = seconds(600), .limit = seconds(8)});
   ASSERT_THAT(pulls, SizeIs(1));
   EXPECT_EQ(pulls[0].status.code(), StatusCode::kTryAgain);
-  EXPECT_THAT(pulls[0].status.message(), HasSubstr("1 of 2 sessions are here, the next pull goes on"));
+  EXPECT_THAT(pulls[0].status.message(), HasSubstr("1 of 2 sessions are here, the next pull continues"));
   EXPECT_THAT(pulls[0].report.sessions, ElementsAre(a));
   EXPECT_THAT(Ids(other_), ElementsAre(a));
   EXPECT_THAT(All({"kiosk@rig-1:" + rig})[0].report.sessions, ElementsAre(b));
@@ -166,7 +166,7 @@ TEST_F(PullAllTest, ADamagedRigIsItsOwnTrouble) {
   const std::string a = Visit(good), b = Visit(bad), c = Visit(bad);
   FlipBits(std::filesystem::path(bad) / "sessions" / b / "frames-0001.seg", 400, 1);
   const auto pulls = All({bad, good});
-  EXPECT_THAT(pulls[0].report.problems, ElementsAre(HasSubstr("session " + b + " was not taken")));
+  EXPECT_THAT(pulls[0].report.problems, ElementsAre(HasSubstr("session " + b + " was not fetched")));
   EXPECT_THAT(pulls[0].report.sessions, ElementsAre(c));
   EXPECT_THAT(pulls[1].report.problems, IsEmpty());
   EXPECT_THAT(Ids(other_), UnorderedElementsAre(a, c));
@@ -237,7 +237,7 @@ TEST_F(PullAllTest, AsItsUserRunsIt) {
   EXPECT_EQ(json["sources"][0]["sessions"], nlohmann::json({a}));
   EXPECT_EQ(json["sources"][1]["from"], "kiosk@gone:/store");
   EXPECT_EQ(json["sources"][1]["code"], 1);
-  EXPECT_THAT(json["sources"][1]["error"].get<std::string>(), HasSubstr("ssh must reach it without a question"));
+  EXPECT_THAT(json["sources"][1]["error"].get<std::string>(), HasSubstr("ssh must connect without asking anything"));
   EXPECT_EQ(json["sources"][2]["sessions"], nlohmann::json({b}));
   EXPECT_EQ(pull("kiosk@gone:/store kiosk@gone:/other").code, 1) << "nobody";
   EXPECT_EQ(pull(one + " " + two).code, 0);

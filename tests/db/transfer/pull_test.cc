@@ -91,7 +91,7 @@ TEST_F(PullTest, ASessionOfALaterVersionIsNamedAndStaysOutsideWhileTheOthersCome
   for (int i = 0; i < 2; ++i) {
     const Outcome outcome = Db(command);
     EXPECT_EQ(outcome.code, 3) << outcome.out;
-    EXPECT_THAT(outcome.out, HasSubstr("session " + later + " was not taken"));
+    EXPECT_THAT(outcome.out, HasSubstr("session " + later + " was not fetched"));
     EXPECT_EQ(Ids(other_), (std::vector{last, first}));
     EXPECT_FALSE(std::filesystem::exists(other_ / "sessions" / later)) << "nothing was moved";
   }
@@ -136,7 +136,7 @@ TEST_F(PullTest, ASegmentSealedAnewIsNotTheManifestsAndStaysOutside) {
   const auto before = ReadBytes(manifest);
   RewriteSegment(Segment(changed), [](FrameHeader& header) { header.gain *= 2; });
   WriteBytes(manifest, before);
-  EXPECT_THAT(PullHere()->problems, ElementsAre(HasSubstr("is not the file that the manifest speaks of")));
+  EXPECT_THAT(PullHere()->problems, ElementsAre(HasSubstr("is not the file that the manifest describes")));
   EXPECT_EQ(Ids(other_), std::vector{good});
 }
 
@@ -176,8 +176,8 @@ TEST_F(PullTest, ADamagedFitStaysOutAndItsSessionComes) {
   std::filesystem::remove(store.FitFolder(id, "lost") / "fit.json");
   const auto pulled = PullHere();
   ASSERT_TRUE(pulled.ok()) << pulled.status().message();
-  EXPECT_THAT(pulled->problems, ElementsAre(AllOf(HasSubstr(id + "/damaged was not taken"), HasSubstr("map.bin"))));
-  EXPECT_THAT(pulled->notes, ElementsAre(HasSubstr(id + "/lost was not taken")));
+  EXPECT_THAT(pulled->problems, ElementsAre(AllOf(HasSubstr(id + "/damaged was not fetched"), HasSubstr("map.bin"))));
+  EXPECT_THAT(pulled->notes, ElementsAre(HasSubstr(id + "/lost was not fetched")));
   EXPECT_EQ(Ids(other_), std::vector{id});
   EXPECT_THAT(*SessionStore::Open(other_, AccessMode::kReadOnly)->ListFits(id), SizeIs(1));
   FlipBits(store.FitFolder(id, "damaged") / "map.bin", 2, 1);

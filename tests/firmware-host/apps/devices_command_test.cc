@@ -82,7 +82,7 @@ TEST(DevicesCommand, TheMachinesOwnBrokenConfigurationIsSaidAndEndsNothing) {
   EXPECT_EQ(asked.status().code(), StatusCode::kUsage);
   const auto list = DevicesBeside(file, ConfigurationFrom::kInstalled);
   ASSERT_TRUE(list.ok()) << list.status().message();
-  EXPECT_THAT(DevicesAsText(*list), HasSubstr("Not held against " + file));
+  EXPECT_THAT(DevicesAsText(*list), HasSubstr("Not compared with " + file));
   EXPECT_THAT(DevicesAsText(*list), HasSubstr("unknown key 'camera.widht'"));
   const auto json = nlohmann::json::parse(DevicesAsJson(*list));
   EXPECT_THAT(json["configuration_unreadable"].get<std::string>(), HasSubstr("widht"));
@@ -139,7 +139,7 @@ TEST(DevicesCommand, TablesKeepToAHundredColumns) {
   std::istringstream lines(text);
   for (std::string line; std::getline(lines, line);) EXPECT_LE(line.size(), 100U) << line;
   for (const char* part : {"1392x1042 33.3..40 ms", "not raw: YUYV", "used by spi0 CS0", "exposure_control = ",
-                           "its screens are held by Xorg (812)", "1024x768@60", "Named in rig.toml and not here"})
+                           "its screens are held by Xorg (812)", "1024x768@60", "Named in rig.toml but not here"})
     EXPECT_THAT(text, HasSubstr(part));
 }
 

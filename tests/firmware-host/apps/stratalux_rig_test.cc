@@ -54,8 +54,8 @@ INSTANTIATE_TEST_SUITE_P(
         std::pair("capture --simulate --kind party", "party"),
         std::pair("capture --simulate --exposure 0", "exposure_ms"),
         std::pair("capture --simulate --exposure bright", "expected ms, or auto"),
-        std::pair("capture --simulate --exposure auto --kind dark", "only a visitor's exposure is chosen"),
-        std::pair("selftest --simulate --exposure auto", "a capture alone looks at who is there"),
+        std::pair("capture --simulate --exposure auto --kind dark", "only a visitor's exposure can be chosen"),
+        std::pair("selftest --simulate --exposure auto", "only capture looks at who is there"),
         std::pair("capture --simulate --attempt 0", "--attempt"),
         std::pair("capture --simulate --pose 2", "--kind calibration"),
         std::pair("capture --kind calibration --pose 12 --simulate=" STRATALUX_SOURCE_DIR
@@ -66,20 +66,20 @@ INSTANTIATE_TEST_SUITE_P(
                   "lists 12 poses"),
         std::pair("capture --kind calibration --pose 7 --poses 7 --simulate=" STRATALUX_SOURCE_DIR
                   "/docs/examples/scenes/charuco_poses.toml",
-                  "behind the last"),
+                  "beyond the last"),
         std::pair("capture --simulate --poses 3", "--kind calibration"),
         std::pair("capture --simulate --deadline 0.5", "--deadline 0.5 is out of range, allowed: 1 .. 600000 ms"),
         std::pair("capture --simulate --deadline nan", "--deadline nan is out of range"),
         std::pair("selftest --simulate --settle -1", "--settle -1 is out of range"),
         std::pair("capture --simulate --seed minus", "seed"),
-        std::pair("capture --simulate --fault-rate nan", "--fault-rate: 'nan' is no chance of 0 .. 1"),
-        std::pair("capture --simulate --fault-rate 1.5", "'1.5' is no chance"),
+        std::pair("capture --simulate --fault-rate nan", "--fault-rate: 'nan' is not a chance of 0 .. 1"),
+        std::pair("capture --simulate --fault-rate 1.5", "'1.5' is not a chance"),
         std::pair("capture --fault-rate 0.1", "--fault-rate 0.1: only the simulated rig has it; add --simulate"),
         std::pair("capture --seed 7", "--seed 7: only the simulated rig"),
         std::pair("capture --size 696x520", "--size 696x520: only"),
         std::pair("capture --no-noise", "--no-noise: only"),
         std::pair("capture --simulate --on-start", "--simulate-events PATH takes `start`"),
-        std::pair("capture --simulate --on-start --simulate-events x --kind calibration", "of other kinds"),
+        std::pair("capture --simulate --on-start --simulate-events x --kind calibration", "not for --kind calibration"),
         std::pair("capture --on-start --kind dark", "no START is wired; name its line as [gpio] start"),
         std::pair("capture --simulate-events x", "--simulate-events x: only"),
         std::pair("selftest --fault frame_lost@17", "--fault frame_lost@17: only"),
@@ -194,7 +194,7 @@ TEST(StrataluxRig, SafeGoesByTheLightsThatWereOpenedLast) {
   std::filesystem::permissions(folder / "lights.json", std::filesystem::perms::all);
   const Outcome refused = Rig("safe --config " + config.string());
   EXPECT_EQ(refused.code, 2) << refused.out;
-  EXPECT_THAT(refused.out, HasSubstr("may be written by others"));
+  EXPECT_THAT(refused.out, HasSubstr("can be written by others"));
   unsetenv("STATE_DIRECTORY");
   std::filesystem::remove_all(folder);
 }
@@ -278,7 +278,7 @@ TEST_F(WaitingCapture, BeginsWithStartAndNotWhileTheDoorIsOpen) {
   Tell("start");
   AwaitLog("START refused: door open");
   Tell("door closed");
-  AwaitLog("START counts again");
+  AwaitLog("START is accepted again");
   Tell("start");
   EXPECT_EQ(End(), 0) << ReadText(folder_ / "log");
   EXPECT_FALSE(std::filesystem::exists(folder_ / "rig"));
@@ -363,7 +363,7 @@ TEST_F(LearntDeadlinesProgram, ASelftestTeachesPlanAndCaptureUntilTheRigIsSlower
   std::filesystem::permissions(folder_ / "deadlines-simulated.json", std::filesystem::perms::all);
   const Outcome refused = Rig("capture " + Scene("") + Config("") + Store());
   EXPECT_EQ(refused.code, 0) << refused.out;
-  const std::string why = "may be written by others";
+  const std::string why = "can be written by others";
   EXPECT_THAT(refused.out, HasSubstr(why));
   EXPECT_EQ(refused.out.find(why), refused.out.rfind(why));
 }
@@ -397,7 +397,7 @@ TEST_F(LearntDeadlinesProgram, ASelftestThatCanKeepNothingPasses) {
   setenv("STATE_DIRECTORY", folder_.c_str(), 1);
   const Outcome failed = Rig("selftest " + Scene("") + Config("") + "--fault frame_lost@40");
   EXPECT_EQ(failed.code, 1) << failed.out;
-  EXPECT_THAT(failed.out, HasSubstr("a rig that fails teaches none"));
+  EXPECT_THAT(failed.out, HasSubstr("none are learnt from a rig that fails"));
   EXPECT_FALSE(std::filesystem::exists(folder_ / "deadlines-simulated.json"));
 }
 

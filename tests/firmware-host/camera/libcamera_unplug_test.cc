@@ -178,10 +178,10 @@ TEST_F(LibcameraUnplugTest, OneThatWasGivenUpWithoutAnUnplugSaysWhatBringsItBack
   const Status failed = WaitForTheEnd(*camera);
   fake.cancel_frames = false;
   EXPECT_THAT(failed.message(), HasSubstr("imx: 5 requests in a row failed"));
-  EXPECT_THAT(failed.message(), HasSubstr("unplugged and back it is opened again; else"));
-  EXPECT_THAT(failed.message(), HasSubstr("start the program anew"));
+  EXPECT_THAT(failed.message(), HasSubstr("once unplugged and plugged in again it is reopened; otherwise"));
+  EXPECT_THAT(failed.message(), HasSubstr("restart the program"));
   camera.reset();
-  EXPECT_THAT(Refusal().message(), HasSubstr("or this one gave it up; start that anew"));
+  EXPECT_THAT(Refusal().message(), HasSubstr("or this program gave it up; restart that program"));
   libcamera::Unplug("imx");
   libcamera::Plug("imx");
   camera = Open();
@@ -201,7 +201,7 @@ TEST_F(LibcameraUnplugTest, AfterACallThatHangsThisProcessOpensNoOther) {
     std::fprintf(stderr, "%s | %s\n", started.message().c_str(), next.message().c_str());
     _exit(next.code() == StatusCode::kBusy ? 0 : 1);
   };
-  EXPECT_EXIT(hang(), ::testing::ExitedWithCode(0), "starting hangs inside libcamera.*start the program anew");
+  EXPECT_EXIT(hang(), ::testing::ExitedWithCode(0), "starting hangs inside libcamera.*restart the program");
 }
 
 }  // namespace

@@ -225,7 +225,7 @@ TEST_F(KioskService, ALightThatMayShineOnNobodyIsTold) {
     light.sticks = false;
   }
   logger.Flush();
-  EXPECT_THAT(Said(), HasSubstr("projector 0 may be lit still: a switch that sticks"));
+  EXPECT_THAT(Said(), HasSubstr("projector 0 may still be lit: a switch that sticks"));
   station_.reset();
 }
 

@@ -91,7 +91,7 @@ TEST_F(Languages, WithoutAWordOfTheMachineAreRefused) {
   EXPECT_THAT(Read(english, german).message(), HasSubstr("/screens/idle/begin"));
   german["screens"]["idle"].erase("begin");
   EXPECT_THAT(Read(english, german).message(), HasSubstr("no text for /screens/idle/begin"));
-  EXPECT_THAT(Read(english, Json::array()).message(), HasSubstr("no JSON object"));
+  EXPECT_THAT(Read(english, Json::array()).message(), HasSubstr("not a JSON object"));
   EXPECT_EQ(ReadLanguages(folder_, {"../en"}).status().code(), StatusCode::kUsage);
   EXPECT_EQ(ReadLanguages(folder_, {"fr"}).status().code(), StatusCode::kUsage);
   EXPECT_EQ(ReadLanguages(folder_, {}).status().code(), StatusCode::kUsage);

@@ -26,7 +26,7 @@ TEST(PlainFront, SaysWhatIsNoCommand) {
   for (const char* line : {"", "begin", "start now", "agree", "agree fit", "operator", "operator sleep", "face 1 2 3"})
     EXPECT_EQ(ParseCommand(line, kiosk).status().code(), StatusCode::kUsage) << line;
   EXPECT_THAT(ParseCommand("agree fit fr", kiosk).status().message(),
-              HasSubstr("'fr' is none of [kiosk]'s: en, de, ja"));
+              HasSubstr("'fr' is not one of [kiosk]'s: en, de, ja"));
   EXPECT_THAT(ParseCommand("agree everything en", kiosk).status().message(), HasSubstr("everything"));
   EXPECT_THAT(ParseCommand("begin", kiosk).status().message(), HasSubstr("commands: start"));
 }

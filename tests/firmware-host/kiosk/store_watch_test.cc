@@ -74,7 +74,7 @@ TEST_F(StoreWatchTest, ADiskThatCannotBeAskedIsNotEndless) {
   station_.config.store.folder = folder_ / std::string(300, 'x');  // as a mount that is dead: an error, no answer
   StoreWatch watch(station_, rules_, logger_);
   EXPECT_EQ(watch.Space().bytes, 0);
-  EXPECT_THAT(Said(), HasSubstr("cannot be asked for its room: File name too long"));
+  EXPECT_THAT(Said(), HasSubstr("cannot find out how much space is free: File name too long"));
 }
 
 TEST_F(StoreWatchTest, WhyACalibrationIsNotGoodIsSaidOnceAtEachChange) {

@@ -104,7 +104,7 @@ TEST_F(KmsDisplay, RefusesWhatItCannotShow) {
   EXPECT_FALSE(display->Load({{.kind = PatternKind::kComb, .period = 0}}).ok());
   ASSERT_TRUE(display->Load({{}}).ok());
   ASSERT_TRUE(display->Flip().ok());
-  EXPECT_THAT(display->Flip().message(), HasSubstr("has not come"));
+  EXPECT_THAT(display->Flip().message(), HasSubstr("has not happened"));
 }
 
 TEST_F(KmsDisplay, NamesWhatIsMissing) {

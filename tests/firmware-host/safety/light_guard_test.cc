@@ -162,7 +162,7 @@ TEST(LightGuard, LightThatCannotBeSwitchedOffAtTheStartIsRefused) {
   rig.guard.reset();
   TheGpio().lines[kEnable0].refuse_writes.store(-1);
   const auto guard = LightGuard::Start({{rig.lights->enable(0)}}, nullptr, stop);
-  EXPECT_THAT(guard.status().message(), HasSubstr("may be lit still"));
+  EXPECT_THAT(guard.status().message(), HasSubstr("may still be lit"));
 }
 
 }  // namespace

@@ -49,7 +49,7 @@ TEST_F(LastLights, OfAnybodyElseAreRefused) {
   ASSERT_TRUE(KeepLights(folder_, lights_).ok());
   for (const unsigned mode : {0620U, 0602U, 0666U}) {
     ASSERT_EQ(chmod(File().c_str(), mode), 0);
-    ExpectRefused(StatusCode::kFailed, "may be written by others");
+    ExpectRefused(StatusCode::kFailed, "can be written by others");
   }
   ASSERT_EQ(chmod(File().c_str(), 0600), 0);
   EXPECT_TRUE(ReadLights(folder_).ok());
@@ -62,10 +62,10 @@ TEST_F(LastLights, OfAnybodyElseAreRefused) {
   ExpectRefused(StatusCode::kFailed, "");
   fs::remove(File());
   fs::create_directory(File());
-  ExpectRefused(StatusCode::kFailed, "no plain file");
+  ExpectRefused(StatusCode::kFailed, "not a regular file");
   fs::remove(File());
   ASSERT_EQ(mkfifo(File().c_str(), 0600), 0);
-  ExpectRefused(StatusCode::kFailed, "no plain file");
+  ExpectRefused(StatusCode::kFailed, "not a regular file");
 }
 
 TEST_F(LastLights, ThatSayNothingAreErrorsAndNoCrash) {

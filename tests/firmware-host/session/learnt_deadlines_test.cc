@@ -143,7 +143,7 @@ TEST_F(LearntDeadlinesFile, OfTheSimulatedRigAreNoDevices) {
 TEST_F(LearntDeadlinesFile, OfAnybodyElseOrAnotherVersionAreRefused) {
   ASSERT_TRUE(Keep().ok());
   ASSERT_EQ(chmod(File().c_str(), 0602), 0);
-  ExpectRefused(Config(), "may be written by others");
+  ExpectRefused(Config(), "can be written by others");
   ASSERT_EQ(chmod(File().c_str(), 0600), 0);
   std::ifstream in(File());
   const Json kept = Json::parse(in);
@@ -179,7 +179,7 @@ TEST_F(LearntDeadlinesFile, OfAnybodyElseOrAnotherVersionAreRefused) {
   }
   fs::remove(File());
   fs::create_directory(File());
-  ExpectRefused(Config(), "no plain file");
+  ExpectRefused(Config(), "not a regular file");
 }
 
 TEST_F(LearntDeadlinesFile, AreNotKeptWhereTheyTeachNothingOrCannotBeWritten) {

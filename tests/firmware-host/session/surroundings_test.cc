@@ -244,7 +244,7 @@ TEST_F(StartWaitTest, WhatSpeaksAgainstItIsSaidUntilItIsOver) {
     AwaitLog(std::string("START refused: ") + opened);
     Happen(signal, kRest);
     AwaitLog(closed);
-    AwaitLog("START counts again");
+    AwaitLog("START is accepted again");
     EXPECT_FALSE(stop_.stopped());
   }
   Happen(kStart, kActive);
@@ -258,7 +258,7 @@ TEST_F(StartWaitTest, ADoorThatWasOpenBeforeIsWaitedForToo) {
   BeginWaiting();
   AwaitLog("door open: START is refused until that is over");
   Happen(kDoor, kRest);
-  AwaitLog("START counts again");
+  AwaitLog("START is accepted again");
   Happen(kStart, kActive);
   EXPECT_TRUE(End().ok());
 }
@@ -294,7 +294,7 @@ TEST_F(StartWaitTest, ACameraThatWentAndCameBeforeIsOpenedAgain) {
   Happen(kCamera, kActive);
   Happen(kCamera, kRest);
   BeginWaiting();
-  AwaitLog("START counts again");
+  AwaitLog("START is accepted again");
   Happen(kStart, kActive);
   EXPECT_TRUE(End().ok());
   ExpectComplete();
@@ -339,7 +339,7 @@ TEST_F(ControlPipeTest, WhatIsNothingIsAnsweredInTheLogAndNothingElseComesOfIt) 
   Open();
   Say("open sesame\n" + std::string(5000, 'x') + "\ndoor open\n");
   EXPECT_THAT(TellUntil("door open"), ElementsAre("door open"));
-  AwaitLog("'open sesame' is nothing that happens to a rig; there are: door closed, door open");
+  AwaitLog("'open sesame' is not an event of a rig; there are: door closed, door open");
   AwaitLog("a line of more than 200 bytes was dropped");
 }
 
@@ -375,7 +375,7 @@ TEST_F(ControlPipeTest, OneThatIsThereIsTakenIfItIsOursAloneAndLeftWhereItIs) {
   EXPECT_EQ(refusal().code(), StatusCode::kUsage) << "others may write";
   std::filesystem::remove(pipe_);
   std::ofstream(pipe_) << "start\n";
-  EXPECT_THAT(refusal().message(), HasSubstr("no FIFO"));
+  EXPECT_THAT(refusal().message(), HasSubstr("not a FIFO"));
   EXPECT_EQ(std::filesystem::file_size(pipe_), 6U) << "touched";
   std::filesystem::remove(pipe_);
   std::filesystem::create_symlink("/dev/null", pipe_);

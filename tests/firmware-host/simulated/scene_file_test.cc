@@ -302,7 +302,7 @@ TEST_F(SceneFile, APersonsSkinIsDrawnAndKeysBesideItStand) {
       Load("[subject]\nshape = \"mesh\"\n[mesh]\nfile = \"a.obj\"\nalbedo = \"a.png\"\n[skin]\nperson = 7\n");
   const Status refused = picture.ok() ? picture->Validate() : picture.status();
   EXPECT_EQ(refused.code(), StatusCode::kUsage);
-  EXPECT_THAT(refused.message(), HasSubstr("[skin] person brings melanin and blood"));
+  EXPECT_THAT(refused.message(), HasSubstr("[skin] person sets melanin and blood"));
 }
 
 TEST_F(SceneFile, AnotherSubcutisIsEverywhereAndLeavesTheRestOfTheSkin) {

@@ -212,11 +212,11 @@ TEST_F(MeshScene, EveryComplaintNamesFileKeyAndRemedy) {
       {"origin_mm = [0, 0, -500]", "", "comes within 140 mm of the camera at [mesh] origin_mm = [0, 0, -500]"},
       {"origin_mm = [0, 0]", "", ":5: origin_mm takes three numbers"},
       {"up = \"y\"", "", ":5: mesh.up: value 'y' is unknown, allowed: +x, -x"},
-      {"up = \"+z\"", "", "[mesh] up and front lie along one axis"},
+      {"up = \"+z\"", "", "[mesh] up and front lie along the same axis"},
       {"subdivisions = 2\ncrease_deg = 30", "", "leave crease_deg out"},
       {"subdivisions = 9", "", ":5"},
       {"relief_mm = 3", "", ":5"},
-      {"albedo = \"a.png\"", "", "a.obj: some faces have no texture coordinates, by which [mesh] albedo is laid on"},
+      {"albedo = \"a.png\"", "", "a.obj: some faces have no texture coordinates, which [mesh] albedo needs"},
       {"albedo = \"a.png\"", "[skin]\nmelanin = 0.02", "[skin] melanin and blood are solved from [mesh] albedo"},
   };
   for (const auto& c : cases) {

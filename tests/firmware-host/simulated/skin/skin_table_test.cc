@@ -617,7 +617,7 @@ TEST(SkinTableTool, ChecksByOtherPhotonsThanTheTables) {
   ASSERT_TRUE(ShippedTable().seed());
   const Outcome own = Tool("check " + table + " --photons 1000 --seed " + std::to_string(*ShippedTable().seed()));
   EXPECT_EQ(own.code, 2);
-  EXPECT_THAT(own.out, HasSubstr("take another"));
+  EXPECT_THAT(own.out, HasSubstr("use another"));
   EXPECT_EQ(Tool("check " + table + " --channel 2 --photons 20000").code, 0);
 }
 

@@ -358,7 +358,7 @@ TEST_F(SubcutisFile, TheToolMakesAndChecksIt) {
   EXPECT_EQ(ReadText(file_), ReadText(file_ + "2"));
   const Outcome own = tool("check " + file_ + " --subcutis --photons 1000 --seed 9");
   EXPECT_EQ(own.code, 2);
-  EXPECT_THAT(own.out, HasSubstr("take another"));
+  EXPECT_THAT(own.out, HasSubstr("use another"));
   const Outcome poor = tool("check " + file_ + " --subcutis --photons 4000 --seed 10");
   EXPECT_EQ(poor.code, 1) << poor.out;
   EXPECT_THAT(poor.out, HasSubstr("| both | half-way | B |"));
