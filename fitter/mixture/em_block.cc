@@ -269,7 +269,7 @@ void EmBlock::Judge() {
     momentum_[i] = 0.0F;
     if (lane.profile < 0 || lane.last_pass) continue;
     const double now = lane.total > 0.0 ? divergence_[i] / lane.total : 0.0;
-    step_[i] = lane.pace.Judge(now, options_, accelerated_, most_sweeps_, momentum_[i]);
+    step_[i] = lane.pace.Judge(now, options_.tolerance, accelerated_, most_sweeps_, momentum_[i]);
     lane.last_pass = lane.pace.last;
   }
 }

@@ -13,7 +13,7 @@ constexpr int kCheckEvery = 8;
 
 }  // namespace
 
-LaneStep EmPace::Judge(double now, const EmOptions& options, bool accelerated, int most_sweeps, float& momentum) {
+LaneStep EmPace::Judge(double now, double tolerance, bool accelerated, int most_sweeps, float& momentum) {
   ++sweeps;
   momentum = 0.0F;
   LaneStep step = kAdvance;
@@ -28,7 +28,7 @@ LaneStep EmPace::Judge(double now, const EmOptions& options, bool accelerated, i
   best = std::min(best, now);
   bool settled = false;
   if (sweeps % kCheckEvery == 0) {
-    settled = std::isfinite(checked) && checked - best <= options.tolerance * kCheckEvery * checked;
+    settled = std::isfinite(checked) && checked - best <= tolerance * kCheckEvery * checked;
     checked = best;
   }
   last = settled || sweeps >= most_sweeps;

@@ -4,7 +4,6 @@
 
 #include <limits>
 
-#include "fitter/mixture/em_options.h"
 #include "fitter/mixture/em_update.h"
 
 namespace stratalux::fit {
@@ -16,9 +15,10 @@ struct EmPace {
   double t = 1.0;  // Nesterov's
 
   // What becomes of the sweep just made, whose start had the relative divergence `now`, and by how much the next one
-  // goes on. A point whose divergence lies above the best is left for the last plain result (whose divergence is at
-  // most that of the point it came from): EM never loses likelihood.
-  LaneStep Judge(double now, const EmOptions& options, bool accelerated, int most_sweeps, float& momentum);
+  // goes on; settled where a sweep gains less than `tolerance` of the divergence. A point whose divergence lies above
+  // the best is left for the last plain result (whose divergence is at most that of the point it came from): EM never
+  // loses likelihood.
+  LaneStep Judge(double now, double tolerance, bool accelerated, int most_sweeps, float& momentum);
 };
 
 }  // namespace stratalux::fit

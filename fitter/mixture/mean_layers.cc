@@ -16,8 +16,8 @@
 namespace stratalux::fit {
 namespace {
 
-// In units of EmOptions::max_iterations. What many profiles say in common has little noise to be fitted: it settles
-// within 40 to 60 sweeps.
+// In units of EmOptions::max_iterations. What many profiles have in common has little noise to be fitted: EM goes on
+// until it settles, after 40 to 80 sweeps.
 constexpr int kMostSweeps = 10;
 
 // Profiles that are fitted together.
@@ -51,7 +51,7 @@ class Pool {
       LaneRow momentum;
       for (int c = 0; c < channels_; ++c)
         if (!pace_[c].last)
-          step[c] = pace_[c].Judge(relative_cost_[c], options_, options_.accelerated, most, momentum[c]);
+          step[c] = pace_[c].Judge(relative_cost_[c], options_.tolerance, options_.accelerated, most, momentum[c]);
       Advance(rows_, bounds_, step.data(), momentum.data(), image_.data(), last_.data(), at_.data());
       TakeCommon();
     }
@@ -60,7 +60,8 @@ class Pool {
   }
 
  private:
-  // The mean of what each would start from.
+  // The mean of what each would start from, but weights fall with the square of the width: what is too wide is lowered
+  // slowly where read noise is most of what a sample has.
   void Begin() {
     std::vector<double> profiles(channels_, 0.0);
     std::vector<double> sum(RowOf(rows_.size()), 0.0);
@@ -68,7 +69,7 @@ class Pool {
       const LayerSet start = block.StartOf(lane);
       profiles[c] += 1.0;
       for (int l = 0; l < rows_.layers; ++l) {
-        sum[RowOf(rows_.weight(l)) + c] += start.weight[l];
+        sum[RowOf(rows_.weight(l)) + c] += start.weight[l] / start.sigma_mm[l];
         sum[RowOf(rows_.depth(l)) + c] += start.depth_mm[l];
         sum[RowOf(rows_.sigma(l)) + c] += start.sigma_mm[l];
       }

@@ -19,7 +19,8 @@ const std::vector<int> kProjectors = {0, 1, 2};
 
 // Neighbouring pixels: one skin, each layer of each pixel up to a fifth off in weight, depth and width.
 EmCases Neighbours(double peak_counts, uint64_t seed) {
-  return MakeEmCases({.profiles = kProfiles, .peak_counts = peak_counts, .alike = kProfiles}, {}, seed);
+  return MakeEmCases({.profiles = kProfiles, .peak_counts = peak_counts, .read_photons = 25.0, .alike = kProfiles}, {},
+                     seed);
 }
 
 Result<PriorChoice> Choose(const EmCases& made, const EmOptions& options,

@@ -74,7 +74,7 @@ TEST(MeanLayers, FindDepthAndWidthThatNoiseHidesFromSingleProfiles) {
                   static_cast<int>(seed), counts, MeanDepth(mean), MeanDepth(truth), depth, EffectiveWidth(mean),
                   EffectiveWidth(truth), width);
       EXPECT_NEAR(MeanDepth(mean), MeanDepth(truth), 0.05 * MeanDepth(truth)) << counts;
-      EXPECT_NEAR(EffectiveWidth(mean), EffectiveWidth(truth), 0.05 * EffectiveWidth(truth)) << counts;
+      EXPECT_NEAR(EffectiveWidth(mean), EffectiveWidth(truth), 0.02 * EffectiveWidth(truth)) << counts;
       EXPECT_NEAR(Total(mean), Total(truth), 0.02 * Total(truth)) << counts;
       worst_single = std::max(worst_single, std::abs(depth / MeanDepth(truth) - 1.0));
     }
