@@ -40,7 +40,7 @@ std::string Headline(const MorningFacts& facts) {
       Formatted("%d of %lld visitors fitted", night.Count(NightEventKind::kDone), static_cast<long long>(night.chosen));
   if (Failed(night) > 0) text += Formatted(", %d failed", Failed(night));
   if (const int dropped = night.Count(NightEventKind::kDropped))
-    text += Formatted(", %d withdrew or were forgotten", dropped);
+    text += Formatted(", %d withdrew or are no longer in the store", dropped);
   if (!night.ended)
     text += "; the night was cut off or is still running";
   else if (!night.end_reason.empty())

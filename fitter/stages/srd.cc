@@ -264,8 +264,10 @@ Result<SrdSet> ExtractSrds(const SessionFrames& frames, const FaceShape& shape, 
     }
   }
   if (!any && std::any_of(figures.begin(), figures.end(), [](const SweepFigure& f) { return f.missing_frames > 0; }))
-    return Status::Failed("session " + frames.info().id +
-                          " lacks frames of every sweep (its reasons: `stratalux-db show`); capture the visitor again");
+    return Status::Failed(
+        "session " + frames.info().id +
+        " lacks frames of its sweeps, and what is there shows no profile (its reasons: `stratalux-db show`); capture "
+        "the visitor again");
   return set;
 }
 
