@@ -36,8 +36,8 @@ struct EmOptions {
   bool background_term = false;
   bool shared_background = false;  // one floor for all lights
   LayerPrior prior;
-  // Accelerated ones, worth 50 plain ones (docs/math/em-kernel.md): held-out light is predicted best at 50-100 plain
-  // sweeps (model section 7).
+  // Of a pixel by itself. Accelerated ones, worth 50 plain ones (docs/math/em-kernel.md): held-out light is predicted
+  // best at 50-100 plain sweeps (model section 7).
   int max_iterations = 20;
   // Of a pixel that starts from given layers (FitMixture's `start`), which are not far; 16 are worth 50 plain ones. The
   // fit stage takes as many of them as data can tell (ChooseSweeps).

@@ -11,6 +11,7 @@
 #include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
 #include <sys/file.h>
+#include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -136,14 +137,27 @@ void Running::Send(int signal) const { kill(pid_, signal); }
 bool Running::WaitFor(milliseconds patience) {
   const auto until = steady_clock::now() + patience;
   while (!ended_) {
-    if (waitpid(pid_, &status_, WNOHANG) == pid_)
+    struct rusage usage {};
+    if (wait4(pid_, &status_, WNOHANG, &usage) == pid_) {
       ended_ = true;
-    else if (steady_clock::now() >= until)
+      for (const timeval& part : {usage.ru_utime, usage.ru_stime})
+        processor_time_ += std::chrono::seconds(part.tv_sec) + std::chrono::microseconds(part.tv_usec);
+    } else if (steady_clock::now() >= until) {
       return false;
-    else
+    } else {
       std::this_thread::sleep_for(milliseconds(1));
+    }
   }
   return true;
+}
+
+std::chrono::nanoseconds Running::ProcessorTime() const {
+  if (ended_) return processor_time_;
+  clockid_t clock{};
+  timespec time{};
+  EXPECT_EQ(clock_getcpuclockid(pid_, &clock), 0);
+  EXPECT_EQ(clock_gettime(clock, &time), 0);
+  return std::chrono::seconds(time.tv_sec) + std::chrono::nanoseconds(time.tv_nsec);
 }
 
 Outcome Running::Wait() {

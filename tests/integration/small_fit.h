@@ -30,6 +30,8 @@ class Running {
   // False where it still runs then.
   bool WaitFor(std::chrono::milliseconds patience);
   [[nodiscard]] pid_t pid() const { return pid_; }
+  // What all its threads have taken of the processors so far: of a test's machine that is busy, the same.
+  [[nodiscard]] std::chrono::nanoseconds ProcessorTime() const;
   // code and signal; `out` is what it printed on both.
   Outcome Wait();
 
@@ -38,6 +40,7 @@ class Running {
   std::filesystem::path log_;
   bool ended_ = false;
   int status_ = 0;
+  std::chrono::nanoseconds processor_time_{};  // once it has ended
 };
 
 // A path below a session's folder -> what is there, without the times that differ from run to run:
