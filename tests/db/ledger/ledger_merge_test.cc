@@ -78,7 +78,7 @@ TEST_F(LedgerMergeTest, AForkIsKeptBesideSaidAndBinds) {
   ASSERT_TRUE(Append(store_, LedgerKind::kForgetting, "here").ok());
   ASSERT_TRUE(Append(copy, LedgerKind::kForgetting, "there").ok());
   const LedgerMerge forked = Merge(store_, copy);
-  EXPECT_THAT(forked.problems, ElementsAre(HasSubstr("departs")));
+  EXPECT_THAT(forked.problems, ElementsAre(HasSubstr("differs from what is stored here")));
   for (const char* id : {"s1", "here", "there"}) EXPECT_TRUE(ReadOf(store_).IsForgotten(id)) << id;
   EXPECT_THAT(ReadOf(store_).problems(), ElementsAre(HasSubstr("copied by hand")));
   const auto files = FilesOf(store_);

@@ -108,7 +108,7 @@ TEST(DevicesCommand, TwoCamerasThatFitAreNotUsable) {
   list.v4l2.push_back(Camera());
   list.v4l2[1].node.path = "/dev/video2";
   AddWired(Config(), "rig.toml", list);
-  EXPECT_THAT(Wired(list, "[camera]").usable.message(), HasSubstr("/dev/video0 and /dev/video2 both fit"));
+  EXPECT_THAT(Wired(list, "[camera]").usable.message(), HasSubstr("/dev/video0 and /dev/video2 both match"));
 }
 
 TEST(DevicesCommand, ADeviceThatMayNotBeOpenedComesWithReasonAndRemedy) {

@@ -53,7 +53,7 @@ TEST_F(KioskCommand, WhoRefusesLeavesNoStore) {
   const Outcome refused = Line("printf 'start\\nnot-sensitive\\nrefuse\\nnonsense\\nstop\\n' | " + kiosk_ + " 2>&1");
   EXPECT_EQ(refused.code, 0) << refused.out;
   EXPECT_THAT(refused.out, HasSubstr("\"left_nothing\":{\"refused\":1}"));
-  EXPECT_THAT(refused.out, HasSubstr("'nonsense' is no command"));
+  EXPECT_THAT(refused.out, HasSubstr("'nonsense' is not a command"));
   EXPECT_FALSE(std::filesystem::exists(folder_ / "store"));
 }
 

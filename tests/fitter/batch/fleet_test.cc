@@ -236,7 +236,7 @@ TEST(Fleet, WhatCannotBeIsRefusedByName) {
   options.visitors = std::nan("");
   refused("visitors");
   options.closes_h = options.opens_h;
-  refused("closes");
+  refused("close after it opens");
   options.crash_share = 1.5;
   refused("crashes");
   options.visitors = 1e5;
