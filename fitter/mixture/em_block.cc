@@ -91,7 +91,7 @@ void EmBlock::Begin(int lane, size_t trial, double photons) {
   lanes_[lane] = {.profile = lanes_[lane].profile, .trial = trial};
   ClearLayers(lane);
   Start(lane, photons);
-  lanes_[lane].last_pass = most_sweeps_ == 0;
+  lanes_[lane].pace.last = most_sweeps_ == 0;
 }
 
 void EmBlock::Start(int lane, double photons) {
@@ -267,10 +267,9 @@ void EmBlock::Judge() {
     Lane& lane = lanes_[i];
     step_[i] = kStay;
     momentum_[i] = 0.0F;
-    if (lane.profile < 0 || lane.last_pass) continue;
+    if (lane.profile < 0 || lane.pace.last) continue;
     const double now = lane.total > 0.0 ? divergence_[i] / lane.total : 0.0;
     step_[i] = lane.pace.Judge(now, options_.tolerance, accelerated_, most_sweeps_, momentum_[i]);
-    lane.last_pass = lane.pace.last;
   }
 }
 
@@ -371,8 +370,8 @@ void EmBlock::Fit(std::span<const int64_t> profiles, std::span<const double> pho
     int sweeping = 0;
     std::array<bool, kEmLanes> finished{};
     for (int i = 0; i < kEmLanes; ++i) {
-      finished[i] = lanes_[i].profile >= 0 && lanes_[i].last_pass;
-      sweeping += lanes_[i].profile >= 0 && !lanes_[i].last_pass ? 1 : 0;
+      finished[i] = lanes_[i].profile >= 0 && lanes_[i].pace.last;
+      sweeping += lanes_[i].profile >= 0 && !lanes_[i].pace.last ? 1 : 0;
     }
     Sweep(sweeping > 0);
     for (const EmLight& light : lights_) grid_components_ += int64_t{light.grid.cells} * rows_.layers * sweeping;

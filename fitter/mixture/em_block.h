@@ -90,10 +90,9 @@ class EmBlock {
   struct Lane {
     int64_t profile = -1;  // -1: idle
     size_t trial = 0;
-    double total = 0.0;  // photons of data
-    double own = 0.0;    // of them, the profile's light
-    EmPace pace = {};
-    bool last_pass = false;   // the layers are final: only their divergence is missing
+    double total = 0.0;       // photons of data
+    double own = 0.0;         // of them, the profile's light
+    EmPace pace = {};         // its last sweep made, the layers are final: only their divergence is missing
     double brightness = 0.0;  // of the layers of those held
     double scale = 1.0;       // of the model to the white frames
   };
