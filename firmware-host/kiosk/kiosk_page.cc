@@ -377,7 +377,7 @@ Status KioskPageOptions::Validate() const {
   if (!token.empty() && token == operator_token)
     return Status::Usage("the operator's token is the same as the page's: whoever sees the page could run the kiosk");
   if (ticket_text.find("{code}") == std::string::npos)
-    return Status::Usage("ticket_text '" + ticket_text + "' lacks {code}, the placeholder for the ticket's code");
+    return Status::Usage("ticket_text '" + ticket_text + "' lacks {code}, which stands for the ticket's code");
   return Status::Ok();
 }
 
