@@ -72,7 +72,8 @@ Status Render(const RenderFlags& f, Logger& logger) {
   const auto intervals = ReadIntervals(stored.folder / "metrics.json");
   if (!intervals.ok() && intervals.status().code() != StatusCode::kNotFound) return intervals.status();
   if (intervals.ok() && static_cast<int>(intervals->colours.size()) == relit.total.channels())
-    relit.half_width = HalfWidths(fit.shape.surface, relit.light_mm, relit.total, intervals->colours);
+    relit.half_width = HalfWidths(fit.shape.surface, relit.light_mm, relit.total,
+                                  relit.white.empty() ? relit.total : relit.white, intervals->colours);
   else
     logger.Info("fit " + stored.id +
                 " does not say how far predictions may be off: no interval.exr (fit the session again)");

@@ -14,6 +14,7 @@
 #include "fitter/session/quad_signal.h"
 #include "fitter/stages/colours.h"
 #include "fitter/stages/stage_json.h"
+#include "shared/base/check.h"
 #include "shared/base/parallel_each.h"
 #include "shared/image/finite_at.h"
 
@@ -151,12 +152,13 @@ NoiseShare NoiseOf(const Target& target, const Image<float>& reference, const Im
   return {NoiseOfTakes(target, reference, mask), NoiseFloor(reference, target.variance, mask)};
 }
 
-// Every so many-th judged pixel, by colours.
+// Every so many-th judged pixel, by colours. `white`: as predicted.
 std::vector<std::vector<ErrorSample>> SampleErrors(const CompareInput& in, const Target& target,
-                                                   const Image<float>& prediction, const Masks& masks,
-                                                   int64_t judged_pixels) {
+                                                   const Image<float>& prediction, const Image<float>& white,
+                                                   const Masks& masks, int64_t judged_pixels) {
   const HeldOutView& view = in.view;
-  const ErrorCauseMaps causes(view.shape.surface, view.rig.projectors[view.projector].CentreInCamera(), prediction);
+  const ErrorCauseMaps causes(view.shape.surface, view.rig.projectors[view.projector].CentreInCamera(), prediction,
+                              white);
   const int64_t stride = ErrorSampleStride(judged_pixels);
   std::vector<std::vector<ErrorSample>> samples(prediction.channels());
   int64_t pixel = 0;
@@ -186,9 +188,7 @@ struct JudgedLight {
   [[nodiscard]] Image<float> Remaining(const Prediction& p) const {
     return Difference(*direct, p.DirectLight(name, *irradiance));
   }
-  [[nodiscard]] Image<float> Predicted(const Prediction& p) const {
-    return Sum(p.subsurface.at(name), p.SurfaceLight(name, *irradiance));
-  }
+  [[nodiscard]] Image<float> Predicted(const Prediction& p) const { return p.AllLight(name, *irradiance); }
 };
 
 Result<JudgedLight> ReadLight(const CompareInput& in, size_t light,
@@ -270,10 +270,13 @@ Result<Comparison> CompareHeldOut(const CompareInput& in, const std::vector<Comp
   comparison.pictures.resize(lights);
   std::vector<std::vector<std::vector<ErrorSample>>> samples(lights);
   std::vector<double> left_out(lights);
+  const Prediction& first = models.front().prediction;
+  const auto white = std::ranges::find(judged, "white", &JudgedLight::name);  // among the lights of every plan
+  SLX_CHECK(white != judged.end());
+  const Image<float> of_white = white->Predicted(first);
   ParallelEach(lights, [&](size_t k) {
     const JudgedLight& light = judged[k];
-    samples[k] =
-        SampleErrors(in, light.target, light.Predicted(models.front().prediction), masks, comparison.coverage.judged);
+    samples[k] = SampleErrors(in, light.target, light.Predicted(first), of_white, masks, comparison.coverage.judged);
     comparison.pictures[k] = PicturesOf(light, models);
     left_out[k] = CompareImages(light.target.light, comparison.pictures[k].total, masks.left_out).nrmse;
   });

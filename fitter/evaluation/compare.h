@@ -18,7 +18,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kCompareVersion = 14;
+inline constexpr int kCompareVersion = 15;
 
 struct ComparedModel {
   std::string name;  // the first one is the fit that is judged

@@ -75,7 +75,7 @@ Status SaveErrors(const std::filesystem::path& folder, const HeldOutErrors& erro
                            s.causes.prediction,
                            s.causes.tan_incidence,
                            s.causes.step,
-                           s.causes.around,
+                           s.causes.spread,
                            s.residual,
                            s.squared_error,
                            s.noise_variance};
@@ -104,7 +104,7 @@ Status LoadErrors(const std::filesystem::path& folder, HeldOutErrors& errors) {
 Result<IntervalFigures> ReadIntervals(const std::filesystem::path& metrics_json) {
   IntervalFigures figures;
   SLX_RETURN_IF_ERROR(ReadJson(metrics_json, [&](const nlohmann::json& json) {
-    if (!json.contains("intervals")) return;
+    if (!json.contains("intervals") || json.at("intervals").value("schema", 1) != kIntervalsSchema) return;
     json.at("intervals").at("learnt_from").get_to(figures.learnt_from);
     for (const auto& colour : json.at("intervals").at("colours"))
       figures.colours.push_back(colour.get<PredictionError>());

@@ -43,8 +43,11 @@ struct IntervalFigures {
   std::vector<Covered> covered;
 };
 
-// What a fit's metrics.json says; without colours where it says nothing (of an older program, or too little was
-// judged). kNotFound, kIntegrity.
+// Of `intervals` in metrics.json; raised when its parts mean something else.
+inline constexpr int kIntervalsSchema = 2;
+
+// What a fit's metrics.json says; without colours where it says nothing of this schema (another program's, or too
+// little was judged). kNotFound, kIntegrity.
 [[nodiscard]] Result<IntervalFigures> ReadIntervals(const std::filesystem::path& metrics_json);
 
 [[nodiscard]] IntervalFigures FindIntervals(const std::vector<HeldOutErrors>& heldout);

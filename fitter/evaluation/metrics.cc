@@ -57,7 +57,8 @@ nlohmann::ordered_json JsonOf(const SkinFigure& skin) {
 }
 
 nlohmann::ordered_json JsonOf(const IntervalFigures& intervals) {
-  nlohmann::ordered_json json = {{"learnt_from", intervals.learnt_from},
+  nlohmann::ordered_json json = {{"schema", kIntervalsSchema},
+                                 {"learnt_from", intervals.learnt_from},
                                  {"colours", nlohmann::ordered_json::array()},
                                  {"covered", nlohmann::ordered_json::array()}};
   for (const PredictionError& e : intervals.colours) json["colours"].push_back(e);
@@ -150,8 +151,11 @@ void from_json(const nlohmann::json& json, Coverage& c) {
 }
 
 void to_json(nlohmann::ordered_json& json, const PredictionError& e) {
-  json = {{"albedo", e.albedo},  {"normal_rad", e.normal_rad}, {"placement_quads", e.placement_quads},
-          {"spread", e.spread},  {"interval", e.interval},     {"most_tan_incidence", e.most_tan_incidence},
+  json = {{"albedo", e.albedo},
+          {"normal_rad", e.normal_rad},
+          {"placement_quads", e.placement_quads},
+          {"spread", e.spread},
+          {"most_tan_incidence", e.most_tan_incidence},
           {"samples", e.samples}};
 }
 
@@ -160,7 +164,6 @@ void from_json(const nlohmann::json& json, PredictionError& e) {
   json.at("normal_rad").get_to(e.normal_rad);
   json.at("placement_quads").get_to(e.placement_quads);
   json.at("spread").get_to(e.spread);
-  json.at("interval").get_to(e.interval);
   json.at("most_tan_incidence").get_to(e.most_tan_incidence);
   json.at("samples").get_to(e.samples);
 }

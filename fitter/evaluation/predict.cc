@@ -45,6 +45,13 @@ Image<float> Prediction::DirectLight(const std::string& light, const Image<float
   return ShareUnder(*this, direct_share, light, irradiance);
 }
 
+Image<float> Prediction::AllLight(const std::string& light, const Image<float>& irradiance) const {
+  Image<float> all = SurfaceLight(light, irradiance);
+  const auto below = subsurface.at(light).pixels();
+  for (size_t i = 0; i < all.size(); ++i) all.pixels()[i] += below[i];
+  return all;
+}
+
 Prediction Predict(const MixtureMap& of_shape, int pool, const HeldOutView& view) {
   const auto on_view = ProfilesOnView(view, pool, of_shape.channels);
   const MixtureMap carried = on_view.empty() ? MixtureMap() : ProfilesOf(of_shape, on_view);

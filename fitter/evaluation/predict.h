@@ -29,6 +29,8 @@ struct Prediction {
   // Under `light`, whose irradiance on the judged surface that is, as `subsurface` under it.
   [[nodiscard]] Image<float> SurfaceLight(const std::string& light, const Image<float>& irradiance) const;
   [[nodiscard]] Image<float> DirectLight(const std::string& light, const Image<float>& irradiance) const;
+  // All of it: `subsurface` and SurfaceLight.
+  [[nodiscard]] Image<float> AllLight(const std::string& light, const Image<float>& irradiance) const;
 };
 
 // Lights that sessions of the plan hold: stripe, white and, where it has them, spot.

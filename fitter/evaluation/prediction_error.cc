@@ -6,25 +6,20 @@
 #include <cmath>
 #include <limits>
 
-#include "fitter/mixture/standard_errors.h"
-#include "shared/image/box_sums.h"
-
 namespace stratalux::fit {
 namespace {
 
 constexpr int kCauses = 4;
 // Fewer samples tell no four parts from each other.
 constexpr int64_t kLeastSamples = 200;
-// Within so far light comes from that is seen beside where it entered.
-constexpr double kAroundMm = 5.0;
 constexpr double kShareInside = 0.95;
 constexpr int kReweightings = 12;
 
 using Causes = Eigen::Matrix<double, kCauses, 1>;
 
 Causes CausesOf(const ErrorCauses& c) {
-  const double p = c.prediction, tilted = p * c.tan_incidence, step = c.step, around = c.around;
-  return {p * p, tilted * tilted, step * step, around * around};
+  const double p = c.prediction, tilted = p * c.tan_incidence, step = c.step, spread = c.spread;
+  return {p * p, tilted * tilted, step * step, spread * spread};
 }
 
 // The least squares solution of normal equations without a negative part: the best of all choices of which are 0.
@@ -51,44 +46,69 @@ Causes NonNegativeSolution(const Eigen::Matrix<double, kCauses, kCauses>& a, con
   return best;
 }
 
+// The squared error without its noise, in units of which sigma^2 leaves 5 % outside.
+double ReachOf(const ErrorSample& s) {
+  return double(s.residual) * s.residual / (kInterval95 * kInterval95) - s.noise_variance;
+}
+
+// Quantile regression (Koenker & Bassett 1978; by majorisation, Hunter & Lange 2000): the parts of which kInterval95
+// sigma leaves 5 % of the errors outside, wherever which of them prevails.
+Causes PartsOfQuantile(std::span<const ErrorSample* const> samples, Causes parts) {
+  constexpr double kFinest = 0.02, kSettled = 1e-3;
+  constexpr int kMost = 100;
+  for (int pass = 0; pass < kMost; ++pass) {
+    Eigen::Matrix<double, kCauses, kCauses> a = Eigen::Matrix<double, kCauses, kCauses>::Zero();
+    Causes b = Causes::Zero();
+    for (const ErrorSample* s : samples) {
+      Causes causes = CausesOf(s->causes);
+      const double scale = parts.dot(causes) + s->noise_variance;
+      if (!(scale > 0.0)) continue;
+      causes /= scale;
+      const double reached = ReachOf(*s) / scale;
+      const double weight = 1.0 / (kFinest + std::abs(reached - parts.dot(causes)));
+      a += weight * causes * causes.transpose();
+      b += causes * (weight * reached + 2.0 * kShareInside - 1.0);
+    }
+    const Causes next = NonNegativeSolution(a, b);
+    if (!(next.maxCoeff() > 0.0)) return parts;
+    const bool settled = ((next - parts).array().abs() <= kSettled * parts.array().max(next.array())).all();
+    parts = next;
+    if (settled) break;
+  }
+  return parts;
+}
+
+// Scaled until 5 % of the samples are outside.
+Causes ToReach(std::span<const ErrorSample* const> samples, const Causes& parts) {
+  std::vector<double> reached;  // over what the parts say
+  for (const ErrorSample* s : samples)
+    if (const double variance = parts.dot(CausesOf(s->causes)); variance > 0.0)
+      reached.push_back(ReachOf(*s) / variance);
+  if (reached.empty()) return parts;
+  const auto at = reached.begin() + static_cast<std::ptrdiff_t>(kShareInside * double(reached.size()));
+  std::nth_element(reached.begin(), at, reached.end());
+  return *at > 0.0 ? Causes(parts * *at) : parts;
+}
+
 bool Usable(const ErrorSample& s) {
   return std::isfinite(s.residual) && std::isfinite(s.squared_error) && s.noise_variance >= 0.0F &&
          CausesOf(s.causes).allFinite();
 }
 
-// Mean of the values around each pixel that are told, over squares of 2 radius + 1.
-Image<float> MeanAround(const Image<float>& image, const Image<uint8_t>& told, int radius) {
-  const int colours = image.channels();
-  Image<double> values(image.width(), image.height(), 2 * colours);
-  for (int j = 0; j < image.height(); ++j)
-    for (int i = 0; i < image.width(); ++i)
-      for (int c = 0; c < colours; ++c) {
-        if (told(i, j) == 0 || !std::isfinite(image(i, j, c))) continue;
-        values(i, j, c) = image(i, j, c);
-        values(i, j, colours + c) = 1.0;
-      }
-  const Image<double> sums = BoxSums(values, radius);
-  Image<float> mean(image.width(), image.height(), colours);
-  for (int j = 0; j < image.height(); ++j)
-    for (int i = 0; i < image.width(); ++i)
-      for (int c = 0; c < colours; ++c)
-        if (sums(i, j, colours + c) > 0.5) mean(i, j, c) = static_cast<float>(sums(i, j, c) / sums(i, j, colours + c));
-  return mean;
-}
-
 }  // namespace
 
 ErrorCauseMaps::ErrorCauseMaps(const SurfaceMap& surface, const Eigen::Vector3d& light_mm,
-                               const Image<float>& prediction)
+                               const Image<float>& prediction, const Image<float>& white)
     : prediction_(prediction),
+      white_(white),
       tan_incidence_(surface.width(), surface.height()),
       step_(prediction.width(), prediction.height(), prediction.channels()) {
-  const double quad_mm = QuadSpacingMm(surface);
-  const int radius = quad_mm > 0.0 ? std::max(1, static_cast<int>(std::lround(kAroundMm / quad_mm))) : 1;
-  around_ = MeanAround(prediction, surface.mask, radius);
   const auto told = [&](int i, int j, int c) {
     return i >= 0 && j >= 0 && i < surface.width() && j < surface.height() && surface.mask(i, j) != 0 &&
            std::isfinite(prediction(i, j, c));
+  };
+  const auto share = [&](int i, int j, int c) {
+    return white(i, j, c) > 0.0F ? double{prediction(i, j, c)} / white(i, j, c) : 0.0;
   };
   for (int j = 0; j < surface.height(); ++j)
     for (int i = 0; i < surface.width(); ++i) {
@@ -99,16 +119,17 @@ ErrorCauseMaps::ErrorCauseMaps(const SurfaceMap& surface, const Eigen::Vector3d&
       for (int c = 0; c < prediction.channels(); ++c) {
         double square = 0.0;
         for (const auto& [di, dj] : {std::pair(1, 0), {0, 1}}) {
-          double along = 0.0, neighbours = 0.0;
+          // Of both sides' the geometric mean, or a line's dim flank would have the jump to its bright neighbour.
+          double along = 1.0;
+          int neighbours = 0;
           for (const int side : {-1, 1}) {
             if (!told(i + side * di, j + side * dj, c)) continue;
-            const double step = prediction(i + side * di, j + side * dj, c) - prediction(i, j, c);
-            along += step * step;
-            neighbours += 1.0;
+            along *= std::abs(share(i + side * di, j + side * dj, c) - share(i, j, c));
+            ++neighbours;
           }
-          if (neighbours > 0.0) square += along / neighbours;
+          if (neighbours > 0) square += neighbours == 2 ? along : along * along;
         }
-        step_(i, j, c) = static_cast<float>(std::sqrt(square));
+        step_(i, j, c) = static_cast<float>(white(i, j, c) * std::sqrt(square));
       }
     }
 }
@@ -141,28 +162,21 @@ std::optional<PredictionError> LearnPredictionError(std::span<const ErrorSample>
     if (!(found.maxCoeff() > 0.0)) return std::nullopt;  // noise is all there is
     parts = found;
   }
-  PredictionError error{std::sqrt(parts[0]), std::sqrt(parts[1]), std::sqrt(parts[2]),
-                        std::sqrt(parts[3]), kInterval95,         static_cast<int64_t>(usable.size())};
+  // How far errors reach only those tell that exceed their noise.
+  std::vector<const ErrorSample*> telling;
+  std::ranges::copy_if(usable, std::back_inserter(telling),
+                       [&](const ErrorSample* s) { return parts.dot(CausesOf(s->causes)) > s->noise_variance; });
+  if (static_cast<int64_t>(telling.size()) >= kLeastSamples) parts = ToReach(telling, PartsOfQuantile(usable, parts));
+  PredictionError error{std::sqrt(parts[0]), std::sqrt(parts[1]), std::sqrt(parts[2]), std::sqrt(parts[3]),
+                        static_cast<int64_t>(usable.size())};
   for (const ErrorSample* s : usable)
     error.most_tan_incidence = std::max<double>(error.most_tan_incidence, s->causes.tan_incidence);
-  // How far errors reach beyond sigma only those tell that exceed their noise.
-  std::vector<double> half_widths;
-  for (const ErrorSample* s : usable) {
-    const double sigma = error.Sigma(s->causes);
-    if (!(sigma * sigma > s->noise_variance)) continue;
-    const double beyond = double(s->residual) * s->residual - kInterval95 * kInterval95 * s->noise_variance;
-    half_widths.push_back(std::sqrt(std::max(beyond, 0.0)) / sigma);
-  }
-  if (static_cast<int64_t>(half_widths.size()) < kLeastSamples) return error;
-  const auto at = half_widths.begin() + static_cast<std::ptrdiff_t>(kShareInside * double(half_widths.size()));
-  std::nth_element(half_widths.begin(), at, half_widths.end());
-  error.interval = *at;
   return error;
 }
 
 Image<float> HalfWidths(const SurfaceMap& surface, const Eigen::Vector3d& light_mm, const Image<float>& prediction,
-                        std::span<const PredictionError> colours) {
-  const ErrorCauseMaps causes(surface, light_mm, prediction);
+                        const Image<float>& white, std::span<const PredictionError> colours) {
+  const ErrorCauseMaps causes(surface, light_mm, prediction, white);
   Image<float> half(prediction.width(), prediction.height(), prediction.channels());
   for (int j = 0; j < surface.height(); ++j)
     for (int i = 0; i < surface.width(); ++i)

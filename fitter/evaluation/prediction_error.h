@@ -3,15 +3,19 @@
 // were captured all the same (docs/math/evaluation.md, "Intervals").
 //
 // A pixel's error is the sum of four, independent of each other, each as large as what it acts on:
-//   sigma^2 = (albedo p)^2 + (normal_rad tan(theta) p)^2 + (placement_quads |step p|)^2 + (spread m)^2            (6)
-// with p the prediction, theta the angle of incidence, |step p| how far p differs from one quad to the next, m the mean
-// prediction of the quads around. All are proportional to the light, so that (6) holds at any strength of it.
+//   sigma^2 = (albedo p)^2 + (normal_rad tan(theta) p)^2 + (placement_quads w |step (p / w)|)^2 + (spread p (1 - p /
+//   w))^2
+// (6), with p the prediction, theta the angle of incidence, w what the light's white would show in the place of its
+// pattern, |step (p / w)| how far that share differs from one quad to the next. What may be misplaced is the pattern on
+// the skin; the skin itself was fitted in its place, so w's own steps do not count. How far light spreads matters where
+// a part of the white's is missing. All are proportional to the light, so that (6) holds at any strength of it.
 #pragma once
 
 #include <cstdint>
 #include <optional>
 #include <span>
 
+#include "fitter/mixture/standard_errors.h"
 #include "fitter/reconstruction/surface_map.h"
 #include "shared/image/image.h"
 
@@ -21,23 +25,26 @@ namespace stratalux::fit {
 struct ErrorCauses {
   float prediction = 0.0F;
   float tan_incidence = 0.0F;
-  float step = 0.0F;    // |step p|, per quad
-  float around = 0.0F;  // m
+  float step = 0.0F;    // w |step (p / w)|, per quad
+  float spread = 0.0F;  // p (1 - p / w)
 };
 
-// Of a prediction W x H x C (NaN or off the surface: nobody's neighbour): |step p| = sqrt of the mean square difference
-// to the left and right neighbours plus that to the upper and lower ones; m over a square of about 2 kAroundMm. The
-// prediction must outlive it.
+// Of a prediction W x H x C (NaN or off the surface: nobody's neighbour) and that of the light's white, itself where
+// the light has no pattern: |step|^2 = the product of the differences to the left and right neighbours plus that of
+// those to the upper and lower ones (where light falls off exponentially that is its slope, on either flank). Both must
+// outlive it.
 class ErrorCauseMaps {
  public:
-  ErrorCauseMaps(const SurfaceMap& surface, const Eigen::Vector3d& light_mm, const Image<float>& prediction);
+  ErrorCauseMaps(const SurfaceMap& surface, const Eigen::Vector3d& light_mm, const Image<float>& prediction,
+                 const Image<float>& white);
   [[nodiscard]] ErrorCauses At(int i, int j, int c) const {
-    return {prediction_(i, j, c), tan_incidence_(i, j), step_(i, j, c), around_(i, j, c)};
+    const float p = prediction_(i, j, c), w = white_(i, j, c);
+    return {p, tan_incidence_(i, j), step_(i, j, c), w > p ? p * (1.0F - p / w) : 0.0F};
   }
 
  private:
-  const Image<float>& prediction_;
-  Image<float> tan_incidence_, step_, around_;
+  const Image<float>&prediction_, &white_;
+  Image<float> tan_incidence_, step_;
 };
 
 // A pixel and colour of a light that was predicted and captured.
@@ -53,26 +60,26 @@ struct PredictionError {
   double albedo = 0.0;           // share of the light
   double normal_rad = 0.0;       // of the surface that is lit
   double placement_quads = 0.0;  // of what is seen
-  double spread = 0.0;           // share of the light around
-  // Half-width over sigma that leaves 5 % of the errors outside: 1.96 of a normal distribution.
-  double interval = 0.0;
+  double spread = 0.0;           // share of light that a pattern shows less of than its white
   int64_t samples = 0;
   // Of the incidences that it was learnt from: beyond, where little but scattered light is left, (6) takes this one.
   double most_tan_incidence = 0.0;
 
   [[nodiscard]] double Sigma(const ErrorCauses& causes) const;
   // Half the 95 % interval of the light.
-  [[nodiscard]] double HalfWidth(const ErrorCauses& causes) const { return interval * Sigma(causes); }
+  [[nodiscard]] double HalfWidth(const ErrorCauses& causes) const { return kInterval95 * Sigma(causes); }
 };
 
-// Weighted least squares of squared_error by (6), no part below 0. nullopt: too few samples, or noise is all that they
-// tell.
+// The parts, none below 0, by which kInterval95 sigma leaves 5 % of the errors outside, whichever part prevails: errors
+// of light have more outliers than a normal distribution, by whose mean square all other intervals would be too wide.
+// nullopt: too few samples, or noise is all that they tell.
 [[nodiscard]] std::optional<PredictionError> LearnPredictionError(std::span<const ErrorSample> samples);
 
-// Half the 95 % intervals of a prediction by a light at `light_mm`, `colours` of its colours: W x H x C, NaN where the
-// prediction is, 0 off the surface.
+// Half the 95 % intervals of a prediction by a light at `light_mm`, whose white is predicted as `white`, `colours` of
+// its colours: W x H x C, NaN where the prediction is, 0 off the surface.
 [[nodiscard]] Image<float> HalfWidths(const SurfaceMap& surface, const Eigen::Vector3d& light_mm,
-                                      const Image<float>& prediction, std::span<const PredictionError> colours);
+                                      const Image<float>& prediction, const Image<float>& white,
+                                      std::span<const PredictionError> colours);
 
 // Share of the samples that lie within the interval, widened by their own noise's. NaN of none.
 [[nodiscard]] double ShareWithin(std::span<const ErrorSample> samples, const PredictionError& error);

@@ -17,8 +17,12 @@ namespace stratalux::fit {
 namespace {
 
 // In units of EmOptions::max_iterations. What many profiles have in common has little noise to be fitted: EM goes on
-// until it settles, after 40 to 80 sweeps.
-constexpr int kMostSweeps = 10;
+// until it settles, after 50 to 200 sweeps.
+constexpr int kMostSweeps = 50;
+// Of EmOptions::tolerance. A thousand profiles have some 2e4 nats of divergence, so that a sweep still gains a fiftieth
+// of a nat; noise costs half a nat for each number that they tell. Settled by ten times as much, dim light would keep
+// the wide layers that it started from (docs/math/em.md).
+constexpr double kOfTolerance = 0.1;
 
 // Profiles that are fitted together.
 class Pool {
@@ -51,7 +55,8 @@ class Pool {
       LaneRow momentum;
       for (int c = 0; c < channels_; ++c)
         if (!pace_[c].last)
-          step[c] = pace_[c].Judge(relative_cost_[c], options_.tolerance, options_.accelerated, most, momentum[c]);
+          step[c] = pace_[c].Judge(relative_cost_[c], kOfTolerance * options_.tolerance, options_.accelerated, most,
+                                   momentum[c]);
       Advance(rows_, bounds_, step.data(), momentum.data(), image_.data(), last_.data(), at_.data());
       TakeCommon();
     }
@@ -85,6 +90,7 @@ class Pool {
   void Expect() {
     ParallelEach(blocks_.size(), [&](size_t b) {
       EmBlock& block = *blocks_[b];
+      if (std::ranges::all_of(block.held(), [&](int64_t profile) { return pace_[profile % channels_].last; })) return;
       std::vector<const LayerSet*> layers;
       for (const int64_t profile : block.held()) layers.push_back(&common_[profile % channels_]);
       block.Expect(layers);
@@ -95,6 +101,7 @@ class Pool {
     for (auto& sum : sums) sum.assign(RowOf(rows_.layers), 0.0);
     std::vector<double> cost(channels_, 0.0), photons(channels_, 0.0);
     ForEachHeld([&](const EmBlock& block, int lane, int c) {
+      if (pace_[c].last) return;
       const double own = block.OwnPhotons(lane), share = kUsualPriorPhotons / (kUsualPriorPhotons + own);
       cost[c] += share * block.Cost(lane);
       photons[c] += share * own;

@@ -102,16 +102,16 @@ std::vector<ReportTable> IntervalTables(const Metrics& m) {
   std::vector<ReportTable> tables;
   if (m.intervals.colours.empty()) return tables;
   ReportTable parts{
-      "Error of light that the fit has not seen, by colour: four parts whose squares add up, and how many of the "
-      "resulting standard deviations leave 5 % of the pixels outside",
-      {"colour", "albedo", "normal, degrees", "placement, quads", "light around", "half a 95 % interval"},
+      "Error of light that the fit has not seen, by colour: four parts whose squares add up to that of a standard "
+      "deviation. 1.96 of them leave 5 % of the pixels outside",
+      {"colour", "albedo", "normal, degrees", "placement of a pattern, quads", "spread of a pattern"},
       {}};
   const auto colours = Colours(static_cast<int>(m.intervals.colours.size()));
   for (size_t c = 0; c < colours.size(); ++c) {
     const PredictionError& e = m.intervals.colours[c];
     parts.rows.push_back({colours[c], Fixed(100.0 * e.albedo, 2) + " %",
                           Fixed(e.normal_rad * 180.0 / std::numbers::pi, 2), Fixed(e.placement_quads, 3),
-                          Fixed(100.0 * e.spread, 2) + " %", Fixed(e.interval, 2)});
+                          Fixed(100.0 * e.spread, 2) + " %"});
   }
   tables.push_back(std::move(parts));
   if (m.intervals.covered.empty()) return tables;

@@ -14,7 +14,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kMapsVersion = 11;
+inline constexpr int kMapsVersion = 12;
 
 struct MapsFigures {
   std::string provenance;       // ProvenanceOf

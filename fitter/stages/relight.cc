@@ -111,15 +111,24 @@ Result<Relit> Relight(const SavedFit& fit, const VirtualLight& light) {
     SLX_RETURN_IF_ERROR(light.pattern.Validate(projector.model.width, projector.model.height));
   }
   const LitSurface lit = BuildLitSurface(WithRim(fit.shape.surface), projector, exposure_ms);
-  const std::vector<LitPyramid> pyramids = {LightWith(lit, light.pattern)};
+  std::vector<LitPyramid> pyramids = {LightWith(lit, light.pattern)};
+  if (light.pattern.kind != PatternKind::kWhite) pyramids.push_back(LightWith(lit, {.kind = PatternKind::kWhite}));
+  const std::vector<Image<float>> subsurface =
+      RenderSubsurface(fit.map, fit.shape.surface, rig, lit, pyramids, {fit.pool});
+  const std::vector<Image<float>> irradiance = SurfaceIrradiance(fit.shape.surface, rig, lit, pyramids);
+  const Image<float> reflectance = SurfaceReflectance(fit.map, fit.shape.surface, projector, fit.pool);
   Relit relit;
   relit.provenance = fit.provenance;
   relit.light_mm = projector.CentreInCamera();
-  relit.subsurface = RenderSubsurface(fit.map, fit.shape.surface, rig, lit, pyramids, {fit.pool}).front();
-  relit.surface = ReflectedLight(SurfaceReflectance(fit.map, fit.shape.surface, projector, fit.pool),
-                                 SurfaceIrradiance(fit.shape.surface, rig, lit, pyramids).front());
-  relit.total = relit.subsurface;
-  for (size_t i = 0; i < relit.total.size(); ++i) relit.total.pixels()[i] += relit.surface.pixels()[i];
+  relit.subsurface = subsurface.front();
+  relit.surface = ReflectedLight(reflectance, irradiance.front());
+  const auto all_of = [&](size_t k) {
+    Image<float> all = ReflectedLight(reflectance, irradiance[k]);
+    for (size_t i = 0; i < all.size(); ++i) all.pixels()[i] += subsurface[k].pixels()[i];
+    return all;
+  };
+  relit.total = all_of(0);
+  if (pyramids.size() > 1) relit.white = all_of(1);
   const SurfaceMap& surface = fit.shape.surface;
   relit.covered = surface.mask;
   relit.face =

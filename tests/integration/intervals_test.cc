@@ -178,11 +178,10 @@ Within LightWithin(const Visit& noisy, const Visit& quiet, const std::map<int, H
   const auto target = ReadHeldOutTarget(*frames, projector, light);
   const auto lit = truth.LitBy(projector);
   EXPECT_TRUE(shape.ok() && predicted.ok() && target.ok() && lit.ok());
-  const HeldOutView view = ViewOf(*shape, *frames->plan(), projector, {light});
-  Image<float> prediction = predicted->SurfaceLight(light, view.irradiance.front());
-  const auto subsurface = predicted->subsurface.at(light).pixels();
-  for (size_t i = 0; i < prediction.size(); ++i) prediction.pixels()[i] += subsurface[i];
-  const ErrorCauseMaps causes(shape->surface, shape->record.projectors[projector].CentreInCamera(), prediction);
+  const HeldOutView view = ViewOf(*shape, *frames->plan(), projector, {light, "white"});
+  const Image<float> prediction = predicted->AllLight(light, view.irradiance[0]),
+                     white = predicted->AllLight("white", view.irradiance[1]);
+  const ErrorCauseMaps causes(shape->surface, shape->record.projectors[projector].CentreInCamera(), prediction, white);
   for (int c = 0; c < prediction.channels(); ++c) {
     std::vector<ErrorSample> samples;
     for (const auto& [p, holdout] : holdouts)

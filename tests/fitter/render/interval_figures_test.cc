@@ -81,11 +81,18 @@ TEST_F(IntervalFiles, ErrorsComeBackAndOthersAreRefused) {
   EXPECT_EQ(LoadErrors(folder_, fewer).code(), StatusCode::kIntegrity);
 }
 
-TEST_F(IntervalFiles, MetricsOfAnOlderProgramSayNothing) {
+TEST_F(IntervalFiles, MetricsOfAnotherProgramSayNothing) {
   WriteText(folder_ / "metrics.json", R"({"schema": 2, "prediction": []})");
   const auto older = ReadIntervals(folder_ / "metrics.json");
   ASSERT_TRUE(older.ok()) << older.status().message();
   EXPECT_THAT(older->colours, IsEmpty());
+  for (const char* schema : {"", R"("schema": 1, )", R"("schema": 3, )"}) {  // whose parts mean something else
+    WriteText(folder_ / "metrics.json", R"({"schema": 2, "intervals": {)" + std::string(schema) +
+                                            R"("learnt_from": [0], "colours": [{"placement_quads": 0.1}]}})");
+    const auto other = ReadIntervals(folder_ / "metrics.json");
+    ASSERT_TRUE(other.ok()) << other.status().message();
+    EXPECT_THAT(other->colours, IsEmpty()) << schema;
+  }
   EXPECT_EQ(ReadIntervals(folder_ / "none.json").status().code(), StatusCode::kNotFound);
 }
 

@@ -86,16 +86,34 @@ TEST_F(RelightTest, PicturesHaveTheFaceAsTheirAlpha) {
   }
 }
 
+// What intervals of a pattern's light are measured by; a lamp without a pattern is its own white.
+TEST_F(RelightTest, APatternHasTheWhiteOfItsLight) {
+  EXPECT_TRUE(Under({0.0, 0.0, -1.0}).white.empty());
+  VirtualLight light{.kind = VirtualLight::Kind::kProjector};
+  const auto white = Relight(fit_, light);
+  light.pattern = {.kind = PatternKind::kComb, .period = 64, .width = 8};
+  const auto stripe = Relight(fit_, light);
+  ASSERT_TRUE(white.ok() && stripe.ok());
+  EXPECT_TRUE(white->white.empty());
+  ASSERT_EQ(stripe->white.size(), white->total.size());
+  double dimmer = 0.0;
+  for (size_t i = 0; i < white->total.size(); ++i) {
+    EXPECT_EQ(stripe->white.pixels()[i], white->total.pixels()[i]) << i;
+    dimmer += stripe->total.pixels()[i] < 0.5F * white->total.pixels()[i] ? 1.0 : 0.0;
+  }
+  EXPECT_GT(dimmer, 0.2 * static_cast<double>(white->total.size()));
+}
+
 TEST_F(RelightTest, StatesIntervalsWhereTheyAreKnownAndKeepsNoneOfAnotherPicture) {
   Relit relit = Under({0.0, 0.0, -1.0});
-  const std::vector<PredictionError> told(3, {0.03, 0.0, 0.0, 0.0, 2.0, 1000});
-  relit.half_width = HalfWidths(fit_.shape.surface, relit.light_mm, relit.total, told);
+  const std::vector<PredictionError> told(3, {0.03 / kInterval95, 0.0, 0.0, 0.0, 1000});
+  relit.half_width = HalfWidths(fit_.shape.surface, relit.light_mm, relit.total, relit.total, told);
   ASSERT_TRUE(WriteRelit(folder_, relit, 0.0, "s000001", "0123456789abcdef").ok());
   const auto half = ReadExr(folder_ / "interval.exr", {"R", "G", "B", "A"});
   ASSERT_TRUE(half.ok()) << half.status().message();
-  EXPECT_NEAR((*half)(20, 15, 1), 0.06F * relit.total(20, 15, 1), 1e-5F);
+  EXPECT_NEAR((*half)(20, 15, 1), 0.03F * relit.total(20, 15, 1), 1e-5F);
   const auto json = nlohmann::json::parse(ReadText(folder_ / "relit.json"));
-  EXPECT_NEAR(json["interval"]["half_width"].get<double>(), 0.06, 1e-6);
+  EXPECT_NEAR(json["interval"]["half_width"].get<double>(), 0.03, 1e-6);
   relit.half_width = {};
   ASSERT_TRUE(WriteRelit(folder_, relit, 0.0, "s000001", "0123456789abcdef").ok());
   EXPECT_FALSE(std::filesystem::exists(folder_ / "interval.exr"));
