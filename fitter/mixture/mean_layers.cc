@@ -19,10 +19,6 @@ namespace {
 // In units of EmOptions::max_iterations. What many profiles have in common has little noise to be fitted: EM goes on
 // until it settles, after 50 to 200 sweeps.
 constexpr int kMostSweeps = 50;
-// Of EmOptions::tolerance. A thousand profiles have some 2e4 nats of divergence, so that a sweep still gains a fiftieth
-// of a nat; noise costs half a nat for each number that they tell. Settled by ten times as much, dim light would keep
-// the wide layers that it started from (docs/math/em.md).
-constexpr double kOfTolerance = 0.1;
 
 // Profiles that are fitted together.
 class Pool {
@@ -55,8 +51,7 @@ class Pool {
       LaneRow momentum;
       for (int c = 0; c < channels_; ++c)
         if (!pace_[c].last)
-          step[c] = pace_[c].Judge(relative_cost_[c], kOfTolerance * options_.tolerance, options_.accelerated, most,
-                                   momentum[c]);
+          step[c] = pace_[c].Judge(relative_cost_[c], options_.tolerance, options_.accelerated, most, momentum[c]);
       Advance(rows_, bounds_, step.data(), momentum.data(), image_.data(), last_.data(), at_.data());
       TakeCommon();
     }

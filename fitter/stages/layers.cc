@@ -73,6 +73,12 @@ std::string Describe(const NeighboursChoice& choice) {
 
 constexpr int kMostSweeps = 100000;
 
+// Of EmOptions::tolerance, for the mean layers that a session's pixels start from. A thousand profiles have some 2e4
+// nats of divergence, so that a sweep still gains a fiftieth of a nat; noise costs half a nat for each number that they
+// tell. Settled by ten times as much, dim light would keep the wide layers that EM starts from (docs/math/em.md). No
+// light that is left out tells the one from the other.
+constexpr double kToleranceOfMean = 0.1;
+
 int64_t UsableProfiles(const Lights& lights) {
   int64_t usable = 0;
   for (int64_t i = 0; i < lights[0]->profiles(); ++i)
@@ -199,7 +205,9 @@ Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, const FitOptions& 
   if (HasMeanLayers(options)) {
     EmOptions tied = em;  // the session's mean layers, which all pixels start from, are those of all lights
     tied.scattering.mode = FitMode::kTied;
-    SLX_ASSIGN_OR_RETURN(start, MeanLayers(lights, srds.channels, tied));
+    EmOptions finer = tied;
+    finer.tolerance *= kToleranceOfMean;
+    SLX_ASSIGN_OR_RETURN(start, MeanLayers(lights, srds.channels, finer));
     if (options.choose.prior || MayHaveNeighbours(options)) {
       SLX_ASSIGN_OR_RETURN(left, LeaveOutEach(lights, projectors, srds.channels, tied));
     }
