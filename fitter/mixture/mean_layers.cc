@@ -17,8 +17,8 @@ namespace stratalux::fit {
 namespace {
 
 // In units of EmOptions::max_iterations. What many profiles have in common has little noise to be fitted: EM goes on
-// until it settles, after 50 to 200 sweeps.
-constexpr int kMostSweeps = 50;
+// until it settles, after 40 to 80 sweeps.
+constexpr int kMostSweeps = 10;
 
 // Profiles that are fitted together.
 class Pool {

@@ -78,6 +78,8 @@ constexpr int kMostSweeps = 100000;
 // tell. Settled by ten times as much, dim light would keep the wide layers that EM starts from (docs/math/em.md). No
 // light that is left out tells the one from the other.
 constexpr double kToleranceOfMean = 0.1;
+// Of EmOptions::max_iterations, for the same: they settle after 50 to 200 sweeps.
+constexpr int kTimesTheSweepsOfMean = 5;
 
 int64_t UsableProfiles(const Lights& lights) {
   int64_t usable = 0;
@@ -207,6 +209,7 @@ Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, const FitOptions& 
     tied.scattering.mode = FitMode::kTied;
     EmOptions finer = tied;
     finer.tolerance *= kToleranceOfMean;
+    finer.max_iterations = std::min(kTimesTheSweepsOfMean * finer.max_iterations, kMostSweeps);
     SLX_ASSIGN_OR_RETURN(start, MeanLayers(lights, srds.channels, finer));
     if (options.choose.prior || MayHaveNeighbours(options)) {
       SLX_ASSIGN_OR_RETURN(left, LeaveOutEach(lights, projectors, srds.channels, tied));
