@@ -60,10 +60,10 @@ std::vector<CLI::Option*> AddFitOptions(CLI::App& verb, FitFlags& f) {
                   "session's mean layers alone. Only in a tied fit with a prior")
       ->check(CLI::IsMember({"on", "off"}))
       ->capture_default_str();
-  verb.add_option(
-          "--iterations", f.run.fit.em.max_iterations,
-          "Maximum number of EM sweeps of each pixel without a prior, and a tenth of that of the mean layers, which "
-          "all pixels share; times the square of --pool")
+  verb.add_option("--iterations", f.run.fit.em.max_iterations,
+                  "Maximum number of EM sweeps of each pixel without a prior, and a tenth of that of the mean layers "
+                  "(a fiftieth from 20 on), which "
+                  "all pixels share; times the square of --pool")
       ->check(CLI::Range(1, 100000))
       ->capture_default_str();
   verb.add_option("--heldout", f.run.heldout, "Projector left out of the fit")

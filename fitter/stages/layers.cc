@@ -81,6 +81,14 @@ constexpr double kToleranceOfMean = 0.1;
 // Of EmOptions::max_iterations, for the same: they settle after 50 to 200 sweeps.
 constexpr int kTimesTheSweepsOfMean = 5;
 
+// Fits that are asked to be quicker than EmOptions' own stay so.
+EmOptions ForMeanLayers(EmOptions em) {
+  if (em.max_iterations < EmOptions().max_iterations) return em;
+  em.tolerance *= kToleranceOfMean;
+  em.max_iterations = std::min(kTimesTheSweepsOfMean * em.max_iterations, kMostSweeps);
+  return em;
+}
+
 int64_t UsableProfiles(const Lights& lights) {
   int64_t usable = 0;
   for (int64_t i = 0; i < lights[0]->profiles(); ++i)
@@ -207,10 +215,7 @@ Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, const FitOptions& 
   if (HasMeanLayers(options)) {
     EmOptions tied = em;  // the session's mean layers, which all pixels start from, are those of all lights
     tied.scattering.mode = FitMode::kTied;
-    EmOptions finer = tied;
-    finer.tolerance *= kToleranceOfMean;
-    finer.max_iterations = std::min(kTimesTheSweepsOfMean * finer.max_iterations, kMostSweeps);
-    SLX_ASSIGN_OR_RETURN(start, MeanLayers(lights, srds.channels, finer));
+    SLX_ASSIGN_OR_RETURN(start, MeanLayers(lights, srds.channels, ForMeanLayers(tied)));
     if (options.choose.prior || MayHaveNeighbours(options)) {
       SLX_ASSIGN_OR_RETURN(left, LeaveOutEach(lights, projectors, srds.channels, tied));
     }
