@@ -62,8 +62,7 @@ std::vector<CLI::Option*> AddFitOptions(CLI::App& verb, FitFlags& f) {
       ->capture_default_str();
   verb.add_option("--iterations", f.run.fit.em.max_iterations,
                   "Maximum number of EM sweeps of each pixel without a prior, and a tenth of that of the mean layers "
-                  "(a fiftieth from 20 on), which "
-                  "all pixels share; times the square of --pool")
+                  "(a fiftieth from 20 on), which all pixels share; times the square of --pool")
       ->check(CLI::Range(1, 100000))
       ->capture_default_str();
   verb.add_option("--heldout", f.run.heldout, "Projector left out of the fit")
