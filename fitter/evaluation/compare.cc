@@ -10,6 +10,7 @@
 #include "fitter/evaluation/heldout_takes.h"
 #include "fitter/evaluation/metrics_json.h"
 #include "fitter/export/exr_file.h"
+#include "fitter/image/pixelwise.h"
 #include "fitter/render/surface_light.h"
 #include "fitter/session/quad_signal.h"
 #include "fitter/stages/colours.h"
@@ -20,15 +21,6 @@
 
 namespace stratalux::fit {
 namespace {
-
-template <typename Operation>
-Image<float> Combine(const Image<float>& a, const Image<float>& b, Operation operation) {
-  Image<float> result = a;
-  for (size_t i = 0; i < result.size(); ++i) result.pixels()[i] = operation(a.pixels()[i], b.pixels()[i]);
-  return result;
-}
-Image<float> Sum(const Image<float>& a, const Image<float>& b) { return Combine(a, b, std::plus<>()); }
-Image<float> Difference(const Image<float>& a, const Image<float>& b) { return Combine(a, b, std::minus<>()); }
 
 // Quads that every model has fitted, in all colours: the same under any light.
 Image<uint8_t> FittedByAll(const std::vector<ComparedModel>& models, const std::string& light, int width, int height) {

@@ -8,6 +8,7 @@
 
 #include "fitter/evaluation/direct_light.h"
 #include "fitter/export/exr_file.h"
+#include "fitter/image/pixelwise.h"
 #include "fitter/render/mlsss.h"
 #include "fitter/render/surface_light.h"
 #include "fitter/stages/colours.h"
@@ -46,10 +47,7 @@ Image<float> Prediction::DirectLight(const std::string& light, const Image<float
 }
 
 Image<float> Prediction::AllLight(const std::string& light, const Image<float>& irradiance) const {
-  Image<float> all = SurfaceLight(light, irradiance);
-  const auto below = subsurface.at(light).pixels();
-  for (size_t i = 0; i < all.size(); ++i) all.pixels()[i] += below[i];
-  return all;
+  return Sum(subsurface.at(light), SurfaceLight(light, irradiance));
 }
 
 Prediction Predict(const MixtureMap& of_shape, int pool, const HeldOutView& view) {

@@ -4,7 +4,10 @@
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <limits>
+#include <utility>
+#include <vector>
 
 namespace stratalux::fit {
 namespace {
@@ -51,25 +54,34 @@ double ReachOf(const ErrorSample& s) {
   return double(s.residual) * s.residual / (kInterval95 * kInterval95) - s.noise_variance;
 }
 
-// Quantile regression (Koenker & Bassett 1978; by majorisation, Hunter & Lange 2000): the parts of which kInterval95
-// sigma leaves 5 % of the errors outside, wherever which of them prevails.
+// Non-negative least squares of targets by the causes: weigh(sample, sigma^2 + n^2 of it by `parts`) gives weight and
+// weight x target.
+template <typename Weigh>
+Causes Regress(std::span<const ErrorSample* const> samples, const Causes& parts, const Weigh& weigh) {
+  Eigen::Matrix<double, kCauses, kCauses> a = Eigen::Matrix<double, kCauses, kCauses>::Zero();
+  Causes b = Causes::Zero();
+  for (const ErrorSample* s : samples) {
+    const Causes causes = CausesOf(s->causes);
+    const double scatter = parts.dot(causes) + s->noise_variance;
+    if (!(scatter > 0.0)) continue;
+    const auto [weight, weighted_target] = weigh(*s, scatter);
+    a += weight * causes * causes.transpose();
+    b += weighted_target * causes;
+  }
+  return NonNegativeSolution(a, b);
+}
+
+// Quantile regression (Koenker & Bassett 1978; each pass as Hunter & Lange 2000 majorise, in units of what the parts so
+// far say): the parts of which kInterval95 sigma leaves 5 % of the errors outside, whichever of them prevails.
 Causes PartsOfQuantile(std::span<const ErrorSample* const> samples, Causes parts) {
   constexpr double kFinest = 0.02, kSettled = 1e-3;
   constexpr int kMost = 100;
   for (int pass = 0; pass < kMost; ++pass) {
-    Eigen::Matrix<double, kCauses, kCauses> a = Eigen::Matrix<double, kCauses, kCauses>::Zero();
-    Causes b = Causes::Zero();
-    for (const ErrorSample* s : samples) {
-      Causes causes = CausesOf(s->causes);
-      const double scale = parts.dot(causes) + s->noise_variance;
-      if (!(scale > 0.0)) continue;
-      causes /= scale;
-      const double reached = ReachOf(*s) / scale;
-      const double weight = 1.0 / (kFinest + std::abs(reached - parts.dot(causes)));
-      a += weight * causes * causes.transpose();
-      b += causes * (weight * reached + 2.0 * kShareInside - 1.0);
-    }
-    const Causes next = NonNegativeSolution(a, b);
+    const Causes next = Regress(samples, parts, [](const ErrorSample& s, double scatter) {
+      const double reach = ReachOf(s), beyond = (reach - (scatter - s.noise_variance)) / scatter;
+      const double weight = 1.0 / ((kFinest + std::abs(beyond)) * scatter * scatter);
+      return std::pair(weight, weight * reach + (2.0 * kShareInside - 1.0) / scatter);
+    });
     if (!(next.maxCoeff() > 0.0)) return parts;
     const bool settled = ((next - parts).array().abs() <= kSettled * parts.array().max(next.array())).all();
     parts = next;
@@ -149,16 +161,10 @@ std::optional<PredictionError> LearnPredictionError(std::span<const ErrorSample>
   // A squared error of variance v and noise n^2 scatters by sqrt(2) (v + n^2): v as of the parts found before.
   Causes parts = Causes::Constant(1e-4);
   for (int pass = 0; pass < kReweightings; ++pass) {
-    Eigen::Matrix<double, kCauses, kCauses> a = Eigen::Matrix<double, kCauses, kCauses>::Zero();
-    Causes b = Causes::Zero();
-    for (const ErrorSample* s : usable) {
-      const Causes causes = CausesOf(s->causes);
-      const double scatter = parts.dot(causes) + s->noise_variance;
-      if (!(scatter > 0.0)) continue;
-      a += causes * causes.transpose() / (scatter * scatter);
-      b += causes * (s->squared_error / (scatter * scatter));
-    }
-    const Causes found = NonNegativeSolution(a, b);
+    const Causes found = Regress(usable, parts, [](const ErrorSample& s, double scatter) {
+      const double weight = 1.0 / (scatter * scatter);
+      return std::pair(weight, weight * s.squared_error);
+    });
     if (!(found.maxCoeff() > 0.0)) return std::nullopt;  // noise is all there is
     parts = found;
   }

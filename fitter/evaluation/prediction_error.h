@@ -3,9 +3,9 @@
 // were captured all the same (docs/math/evaluation.md, "Intervals").
 //
 // A pixel's error is the sum of four, independent of each other, each as large as what it acts on:
-//   sigma^2 = (albedo p)^2 + (normal_rad tan(theta) p)^2 + (placement_quads w |step (p / w)|)^2 + (spread p (1 - p /
-//   w))^2
-// (6), with p the prediction, theta the angle of incidence, w what the light's white would show in the place of its
+//   sigma^2 = (albedo p)^2 + (normal_rad tan(theta) p)^2                                                          (6)
+//             + (placement_quads w |step (p / w)|)^2 + (spread p (1 - p / w))^2
+// with p the prediction, theta the angle of incidence, w what the light's white would show in the place of its
 // pattern, |step (p / w)| how far that share differs from one quad to the next. What may be misplaced is the pattern on
 // the skin; the skin itself was fitted in its place, so w's own steps do not count. How far light spreads matters where
 // a part of the white's is missing. All are proportional to the light, so that (6) holds at any strength of it.
@@ -31,8 +31,8 @@ struct ErrorCauses {
 
 // Of a prediction W x H x C (NaN or off the surface: nobody's neighbour) and that of the light's white, itself where
 // the light has no pattern: |step|^2 = the product of the differences to the left and right neighbours plus that of
-// those to the upper and lower ones (where light falls off exponentially that is its slope, on either flank). Both must
-// outlive it.
+// those to the upper and lower ones (where light falls off exponentially that is its slope, on either flank; at a jump
+// between two even shares it is 0); of one neighbour alone its square. Both must outlive it.
 class ErrorCauseMaps {
  public:
   ErrorCauseMaps(const SurfaceMap& surface, const Eigen::Vector3d& light_mm, const Image<float>& prediction,
@@ -59,8 +59,8 @@ struct ErrorSample {
 struct PredictionError {
   double albedo = 0.0;           // share of the light
   double normal_rad = 0.0;       // of the surface that is lit
-  double placement_quads = 0.0;  // of what is seen
-  double spread = 0.0;           // share of light that a pattern shows less of than its white
+  double placement_quads = 0.0;  // of the pattern on the skin
+  double spread = 0.0;           // of how far light goes: share of p where most of its white is missing
   int64_t samples = 0;
   // Of the incidences that it was learnt from: beyond, where little but scattered light is left, (6) takes this one.
   double most_tan_incidence = 0.0;
@@ -72,7 +72,8 @@ struct PredictionError {
 
 // The parts, none below 0, by which kInterval95 sigma leaves 5 % of the errors outside, whichever part prevails: errors
 // of light have more outliers than a normal distribution, by whose mean square all other intervals would be too wide.
-// nullopt: too few samples, or noise is all that they tell.
+// Where hardly any error exceeds its noise, the mean square's. nullopt: too few samples, or noise is all that they
+// tell.
 [[nodiscard]] std::optional<PredictionError> LearnPredictionError(std::span<const ErrorSample> samples);
 
 // Half the 95 % intervals of a prediction by a light at `light_mm`, whose white is predicted as `white`, `colours` of

@@ -81,9 +81,9 @@ constexpr double kToleranceOfMean = 0.1;
 // Of EmOptions::max_iterations, for the same: they settle after 50 to 200 sweeps.
 constexpr int kTimesTheSweepsOfMean = 5;
 
-// Fits that are asked to be quicker than EmOptions' own stay so.
-EmOptions ForMeanLayers(EmOptions em) {
-  if (em.max_iterations < EmOptions().max_iterations) return em;
+// Fits that are asked for fewer sweeps than EmOptions has stay quick; `asked`: before pools and thinned cycles.
+EmOptions ForMeanLayers(EmOptions em, int asked) {
+  if (asked < EmOptions().max_iterations) return em;
   em.tolerance *= kToleranceOfMean;
   em.max_iterations = std::min(kTimesTheSweepsOfMean * em.max_iterations, kMostSweeps);
   return em;
@@ -215,7 +215,7 @@ Result<MixtureMap> FitLayers(const SrdSet& srds, int heldout, const FitOptions& 
   if (HasMeanLayers(options)) {
     EmOptions tied = em;  // the session's mean layers, which all pixels start from, are those of all lights
     tied.scattering.mode = FitMode::kTied;
-    SLX_ASSIGN_OR_RETURN(start, MeanLayers(lights, srds.channels, ForMeanLayers(tied)));
+    SLX_ASSIGN_OR_RETURN(start, MeanLayers(lights, srds.channels, ForMeanLayers(tied, options.em.max_iterations)));
     if (options.choose.prior || MayHaveNeighbours(options)) {
       SLX_ASSIGN_OR_RETURN(left, LeaveOutEach(lights, projectors, srds.channels, tied));
     }

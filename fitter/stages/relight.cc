@@ -8,6 +8,7 @@
 #include "db/privacy/export_marker.h"
 #include "fitter/export/exr_file.h"
 #include "fitter/export/pictures.h"
+#include "fitter/image/pixelwise.h"
 #include "fitter/render/mlsss.h"
 #include "fitter/render/surface_light.h"
 #include "fitter/render/surface_rim.h"
@@ -122,13 +123,8 @@ Result<Relit> Relight(const SavedFit& fit, const VirtualLight& light) {
   relit.light_mm = projector.CentreInCamera();
   relit.subsurface = subsurface.front();
   relit.surface = ReflectedLight(reflectance, irradiance.front());
-  const auto all_of = [&](size_t k) {
-    Image<float> all = ReflectedLight(reflectance, irradiance[k]);
-    for (size_t i = 0; i < all.size(); ++i) all.pixels()[i] += subsurface[k].pixels()[i];
-    return all;
-  };
-  relit.total = all_of(0);
-  if (pyramids.size() > 1) relit.white = all_of(1);
+  relit.total = Sum(relit.subsurface, relit.surface);
+  if (pyramids.size() > 1) relit.white = Sum(subsurface.back(), ReflectedLight(reflectance, irradiance.back()));
   const SurfaceMap& surface = fit.shape.surface;
   relit.covered = surface.mask;
   relit.face =

@@ -28,7 +28,7 @@ struct VirtualLight {
 struct Relit {
   // Quads x colours, linear; 0 outside the face, NaN where that colour was not fitted.
   Image<float> subsurface, surface, total;
-  Image<float> white;       // the total of all of the light's pattern on; empty: it has none
+  Image<float> white;  // the total with all of the light's pattern on, what is not fitted unmarked; empty: no pattern
   Image<uint8_t> covered;   // by quads: 1 on the face
   Image<float> half_width;  // half the 95 % interval of `total`, as the caller finds it; empty: unknown
   Eigen::Vector3d light_mm = Eigen::Vector3d::Zero();  // where the light stands

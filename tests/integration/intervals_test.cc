@@ -221,7 +221,7 @@ TEST_F(Intervals, HoldTheTruthOfPeople) {
         all.all += one.all;
       }
       std::printf(", all %.3f of %lld\n", all.share(), static_cast<long long>(all.all));
-      EXPECT_GT(all.all, 400) << light;  // tell a share of 95 % to 1.1 points
+      EXPECT_GT(all.all, 500) << light;
       EXPECT_GT(all.share(), 0.91) << light;
       EXPECT_LT(all.share(), 0.985) << light;
     }

@@ -67,7 +67,8 @@ TEST(IntervalFigures, TooLittleOrUnlikeSaysNothing) {
 class IntervalFiles : public ScratchFolderTest {};
 
 TEST_F(IntervalFiles, ErrorsComeBackAndOthersAreRefused) {
-  const HeldOutErrors saved = HoldOut(0, 1.0, 5);
+  HeldOutErrors saved = HoldOut(0, 1.0, 5);
+  for (auto& of : saved.samples) of[4].causes = {60.0F, 0.5F, 7.0F, 11.0F};
   ASSERT_TRUE(SaveErrors(folder_, saved).ok());
   HeldOutErrors read{0, {"stripe", "white"}, 3, {}};
   ASSERT_TRUE(LoadErrors(folder_, read).ok());
@@ -76,6 +77,9 @@ TEST_F(IntervalFiles, ErrorsComeBackAndOthersAreRefused) {
     ASSERT_THAT(read.samples[of], SizeIs(5));
     EXPECT_EQ(read.samples[of][4].residual, saved.samples[of][4].residual);
     EXPECT_EQ(read.samples[of][4].causes.prediction, saved.samples[of][4].causes.prediction);
+    EXPECT_EQ(read.samples[of][4].causes.tan_incidence, saved.samples[of][4].causes.tan_incidence);
+    EXPECT_EQ(read.samples[of][4].causes.step, saved.samples[of][4].causes.step);
+    EXPECT_EQ(read.samples[of][4].causes.spread, saved.samples[of][4].causes.spread);
   }
   HeldOutErrors fewer{0, {"stripe"}, 3, {}};
   EXPECT_EQ(LoadErrors(folder_, fewer).code(), StatusCode::kIntegrity);

@@ -99,7 +99,7 @@ TEST(PredictionErrorTest, TakesNoIncidenceBeyondThoseItWasLearntFrom) {
   EXPECT_FLOAT_EQ(static_cast<float>(error->Sigma(shadow)), static_cast<float>(error->Sigma(grazing)));
 }
 
-// A slope of light across a tilted plane: steps, neighbourhood and angles as worked out by hand. Of skin whose own
+// A slope of light across a tilted plane: steps, spread and angles as worked out by hand. Of skin whose own
 // pattern shows under white light as well only the light's steps count.
 TEST(PredictionErrorTest, ReadsTheCausesOffThePrediction) {
   constexpr int kSize = 41;
