@@ -41,11 +41,11 @@ SrdBatch GeometryOf(const EmCaseOptions& cases, double slope, Random& random) {
   b.valid.assign(n, 1);
   for (auto* v : {&b.slope_in_across, &b.slope_out_across}) v->assign(n, 0.0F);
   for (size_t i = 0; i < n; ++i) {
-    const double step = random.Uniform(0.45, 0.59), in = slope + random.Uniform(-0.1, 0.1),
+    const double step = cases.coarse * random.Uniform(0.45, 0.59), in = slope + random.Uniform(-0.1, 0.1),
                  out = random.Uniform(-0.3, 0.3);
     b.step_mm.push_back(static_cast<float>(step));
     b.line_width_mm.push_back(static_cast<float>(step));
-    b.blur_mm.push_back(static_cast<float>(random.Uniform(0.1, 0.25)));
+    b.blur_mm.push_back(static_cast<float>(cases.coarse * random.Uniform(0.1, 0.25)));
     b.first_u_mm.push_back(static_cast<float>(-0.5 * step * (b.samples - 1) + random.Uniform(-0.5, 0.5)));
     b.slope_in.push_back(static_cast<float>(in));
     b.slope_out.push_back(static_cast<float>(out));
@@ -95,9 +95,13 @@ EmCases MakeEmCases(const EmCaseOptions& cases, const EmOptions& options, uint64
   return made;
 }
 
-double ShapeError(const EmCases& made, const MixtureMap& map, const EmOptions& options, int every) {
+double ShapeError(const EmCases& made, const MixtureMap& map, const EmOptions& options, int every,
+                  const EmCaseOptions& seen_by) {
   const int64_t profiles = std::ssize(made.skins);
-  const EmCases unseen = MakeEmCases({.profiles = static_cast<int>(profiles), .slopes = {1.0}}, options, 99);
+  EmCaseOptions as_seen = seen_by;
+  as_seen.profiles = static_cast<int>(profiles);
+  as_seen.slopes = {1.0};
+  const EmCases unseen = MakeEmCases(as_seen, options, 99);
   double squares = 0.0, judged = 0.0;
   for (int64_t i = 0; i < profiles; i += every) {
     const auto truth = PredictSamples(made.skins[i], unseen.batches[0], i, options.scattering);

@@ -21,6 +21,7 @@ struct EmCases {
 
 struct EmCaseOptions {
   int profiles = 16, samples = 64;
+  double coarse = 1.0;  // times the usual steps, lines and blurs, as seen by a camera of few pixels
   bool wrapped = true;
   double peak_counts = 4000.0;
   // Variance of the read noise, photons^2. A camera's has some electrons; 0: hardly any (0.00002 in units of y), by
@@ -38,7 +39,8 @@ struct EmCaseOptions {
 [[nodiscard]] EmCases MakeEmCases(const EmCaseOptions& cases, const EmOptions& options, uint64_t seed);
 
 // What the fitted layers make of a light that nobody saw, against the true layers: rms over one profile in `every` of
-// the NRMSE of shapes, each with its own sum.
-[[nodiscard]] double ShapeError(const EmCases& made, const MixtureMap& map, const EmOptions& options, int every = 1);
+// the NRMSE of shapes, each with its own sum, as the camera of `seen_by` sees them.
+[[nodiscard]] double ShapeError(const EmCases& made, const MixtureMap& map, const EmOptions& options, int every = 1,
+                                const EmCaseOptions& seen_by = {});
 
 }  // namespace stratalux::fit

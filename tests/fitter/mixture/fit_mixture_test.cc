@@ -3,14 +3,17 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <cstdlib>
 #include <limits>
 
 #include <gtest/gtest.h>
 
+#include "fitter/mixture/fine_grid.h"
 #include "fitter/mixture/line_response.h"
 #include "fitter/mixture/shift_law.h"
 #include "shared/base/random.h"
+#include "tests/fitter/mixture/em_cases.h"
 
 namespace stratalux::fit {
 namespace {
@@ -329,6 +332,30 @@ TEST(FitMixture, HoldsWidthsToTheGridAndFitsWhatSaturatedAsItIs) {
   for (float sigma : map->sigma_mm) EXPECT_GE(sigma, 0.9F * 0.58F / 4 * 0.999F);
   EXPECT_TRUE(map->Fitted(1));
   EXPECT_GT(map->divergence[1], map->divergence[0]);
+}
+
+// A camera of few pixels sees lines of millimetres through a blur of millimetres: cells as fine as a quarter of that
+// serve as well as cells of a tenth of a millimetre, and coarser ones do not.
+TEST(FitMixture, CellsNeedNotBeFinerThanTheBlur) {
+  const EmCaseOptions camera = {.profiles = 64, .samples = 16, .coarse = 8.0, .peak_counts = 2e4};
+  EmOptions options, fine, coarse;
+  fine.cells_per_sample = 48;
+  coarse.max_cell_mm = 2.0;
+  const EmCases made = MakeEmCases(camera, options, 61);
+  const auto error = [&](const EmOptions& of) {
+    const auto map = FitMixture(made.lights(), {0, 1, 2}, camera.profiles, 1, 1, of);
+    EXPECT_TRUE(map.ok());
+    return ShapeError(made, *map, of, 1, camera);
+  };
+  const double as_blurred = error(options), finer = error(fine), coarser = error(coarse);
+  std::printf(
+      "error of the shape of unseen light: %.5f, with finer cells %.5f, with coarser ones %.5f; cells a sample "
+      "%d, %d, %d\n",
+      as_blurred, finer, coarser, CellsPerSample(made.batches[0], 0, options), CellsPerSample(made.batches[0], 0, fine),
+      CellsPerSample(made.batches[0], 0, coarse));
+  EXPECT_LT(CellsPerSample(made.batches[0], 0, options), CellsPerSample(made.batches[0], 0, fine) / 2);
+  EXPECT_LT(as_blurred, 1.05 * finer);
+  EXPECT_GT(coarser, 1.2 * finer);
 }
 
 TEST(FitMixture, RefusesOptionsOutOfRange) {
