@@ -23,13 +23,14 @@ constexpr int kMostSweeps = 10;
 // Profiles that are fitted together.
 class Pool {
  public:
-  Pool(std::span<const SrdBatch* const> lights, const Judgement& judged, int channels, const EmOptions& options)
+  Pool(std::span<const SrdBatch* const> lights, const Judgement& judged, int channels, const EmOptions& options,
+       std::span<const LayerSet> start)
       : channels_(channels), options_(options), rows_{options.layers, 0}, common_(channels), pace_(channels) {
     SLX_CHECK(channels <= kEmLanes);
     const EmTasks tasks = TasksOf(lights, judged, channels, options, kEmLanes);
     blocks_.resize(tasks.size());
     ParallelEach(tasks.size(), [&](size_t t) {
-      blocks_[t] = std::make_unique<EmBlock>(lights, judged.usable, tasks.cells_per_sample(t), options, StartLayers());
+      blocks_[t] = std::make_unique<EmBlock>(lights, judged.usable, tasks.cells_per_sample(t), options, start);
       blocks_[t]->Hold(tasks.profiles(t));
     });
     bounds_.least_depth_mm = static_cast<float>(options.min_depth_mm);
@@ -38,7 +39,7 @@ class Pool {
     bounds_.least_sigma_mm.at.fill(static_cast<float>(options.min_sigma_mm));
     bounds_.most_sigma_mm.at.fill(static_cast<float>(std::max(options.min_sigma_mm, options.max_sigma_mm)));
     for (auto* rows : {&at_, &image_, &last_}) rows->assign(RowOf(rows_.size()), 0.0F);
-    Begin();
+    Begin(start);
   }
 
   std::vector<LayerSet> Fit() {
@@ -60,14 +61,15 @@ class Pool {
   }
 
  private:
-  // The mean of what each would start from, but weights fall with the square of the width: what is too wide is lowered
-  // slowly where read noise is most of what a sample has.
-  void Begin() {
+  // Without known layers, the mean of what each would start from, but weights fall with the square of the width: what
+  // is too wide is lowered slowly where read noise is most of what a sample has.
+  void Begin(std::span<const LayerSet> known) {
     std::vector<double> profiles(channels_, 0.0);
     std::vector<double> sum(RowOf(rows_.size()), 0.0);
     ForEachHeld([&](const EmBlock& block, int lane, int c) {
-      const LayerSet start = block.StartOf(lane);
       profiles[c] += 1.0;
+      if (IsKnown(known, c)) return;
+      const LayerSet start = block.StartOf(lane);
       for (int l = 0; l < rows_.layers; ++l) {
         sum[RowOf(rows_.weight(l)) + c] += start.weight[l] / start.sigma_mm[l];
         sum[RowOf(rows_.depth(l)) + c] += start.depth_mm[l];
@@ -78,8 +80,18 @@ class Pool {
       pace_[c].last = profiles[c] == 0.0;
       for (int row = 0; row < rows_.size(); ++row)
         at_[RowOf(row) + c] = static_cast<float>(sum[RowOf(row) + c] / std::max(1.0, profiles[c]));
+      if (!IsKnown(known, c)) continue;
+      for (int l = 0; l < rows_.layers; ++l) {
+        at_[RowOf(rows_.weight(l)) + c] = static_cast<float>(known[c].weight[l]);
+        at_[RowOf(rows_.depth(l)) + c] = static_cast<float>(known[c].depth_mm[l]);
+        at_[RowOf(rows_.sigma(l)) + c] = static_cast<float>(known[c].sigma_mm[l]);
+      }
     }
     TakeCommon();
+  }
+
+  [[nodiscard]] static bool IsKnown(std::span<const LayerSet> known, int c) {
+    return !known.empty() && !known[c].weight.empty();
   }
 
   void Expect() {
@@ -167,8 +179,9 @@ class Pool {
 }  // namespace
 
 Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights, int channels,
-                                         const EmOptions& options, int64_t pixels) {
+                                         const EmOptions& options, int64_t pixels, std::span<const LayerSet> start) {
   SLX_RETURN_IF_ERROR(options.Validate());
+  SLX_CHECK(start.empty() || std::ssize(start) == channels);
   SLX_CHECK(pixels >= 1);
   if (lights.empty()) return Status::Usage("EM needs at least one light");
   SLX_RETURN_IF_ERROR(CheckLights(lights, lights[0]->profiles()));
@@ -184,7 +197,7 @@ Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights
     if (std::exchange(before, i / channels) != i / channels) ++count;
     return count % every != 0;
   });
-  return Pool(lights, judged, channels, options).Fit();
+  return Pool(lights, judged, channels, options, start).Fit();
 }
 
 }  // namespace stratalux::fit

@@ -17,8 +17,10 @@ inline constexpr int64_t kPixelsOfMean = 1000;
 
 // One set of layers a channel, fitted to some `pixels` of those lit and not apart, evenly chosen, all together, each in
 // its own brightness (docs/math/em.md, "Mean layers"). Weights are those of the mean brightness. Empty where a channel
-// has no usable profile. Same input, same bits, whatever the number of threads.
+// has no usable profile. Same input, same bits, whatever the number of threads. `start`: layers that are known to be
+// near, by channel, such as those of the same pixels on a surface that lies a little deeper.
 Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights, int channels,
-                                         const EmOptions& options, int64_t pixels = kPixelsOfMean);
+                                         const EmOptions& options, int64_t pixels = kPixelsOfMean,
+                                         std::span<const LayerSet> start = {});
 
 }  // namespace stratalux::fit

@@ -10,6 +10,7 @@
 
 #include "fitter/mixture/choose_prior.h"
 #include "fitter/mixture/fit_mixture.h"
+#include "fitter/mixture/left_out_lights.h"
 #include "fitter/mixture/mean_layers.h"
 
 namespace stratalux::fit {
@@ -66,17 +67,21 @@ class Trials {
     for (const int64_t pixel : pixels) displacement_.push_back(displacement[static_cast<size_t>(pixel)]);
   }
 
+  // Mean layers of all trials start from those at `depth_mm`, themselves started from those of `other`: EM, which does
+  // not end at its optimum, then ends about as far from it at depths on either side.
+  Status BeginAt(double depth_mm, const std::vector<LayerSet>& other = {}) {
+    const std::vector<SrdBatch> moved = On(depth_mm);
+    SLX_ASSIGN_OR_RETURN(near_, MeanLayers(PointersTo(moved), channels_, options_, kPixelsOfSearch, other));
+    return Status::Ok();
+  }
+  [[nodiscard]] const std::vector<LayerSet>& near() const { return near_; }
+
   // [pixel] Negative log posterior of each pixel's layers, all colours together, on the surface that codes at
   // `depth_mm` leave, with the mean layers of some of these pixels there; NaN where a colour could not be fitted.
   [[nodiscard]] Result<std::vector<double>> CostsAt(double depth_mm) const {
-    std::vector<SrdBatch> moved = batches_;
-    std::vector<const SrdBatch*> lights;
-    for (SrdBatch& batch : moved) {
-      MoveSurface(batch, channels_, displacement_, -depth_mm);
-      lights.push_back(&batch);
-    }
-    // As many as the search itself takes say what skin is like; all of them would cost as much as the fit.
-    SLX_ASSIGN_OR_RETURN(const auto mean, MeanLayers(lights, channels_, options_, kPixelsOfSearch));
+    const std::vector<SrdBatch> moved = On(depth_mm);
+    const std::vector<const SrdBatch*> lights = PointersTo(moved);
+    SLX_ASSIGN_OR_RETURN(const auto mean, MeanLayers(lights, channels_, options_, kPixelsOfSearch, near_));
     SLX_ASSIGN_OR_RETURN(const auto fit,
                          FitTraced(lights, projectors_, static_cast<int>(pixels_), 1, channels_, options_, mean));
     std::vector<double> costs(pixels_, 0.0);
@@ -85,10 +90,17 @@ class Trials {
   }
 
  private:
+  [[nodiscard]] std::vector<SrdBatch> On(double depth_mm) const {
+    std::vector<SrdBatch> moved = batches_;
+    for (SrdBatch& batch : moved) MoveSurface(batch, channels_, displacement_, -depth_mm);
+    return moved;
+  }
+
   const std::vector<int>& projectors_;
   int channels_;
   EmOptions options_;
   size_t pixels_;
+  std::vector<LayerSet> near_;
   std::vector<SrdBatch> batches_;
   std::vector<float> displacement_;  // [pixel]
 };
@@ -157,10 +169,12 @@ Result<SurfaceOffset> EstimateOffset(std::span<const SrdBatch* const> lights, co
   const auto few = PixelsOf(lights, projectors, width, channels, kPixelsOfSearch);
   const auto pixels = PixelsOf(lights, projectors, width, channels, kPixels);
   if (std::ssize(pixels) < kLeastPixels) return SurfaceOffset{};
-  SLX_ASSIGN_OR_RETURN(const Found found, Search(Trials(lights, projectors, channels, displacement, options,
-                                                        std::ssize(few) < kLeastPixels ? pixels : few)));
+  Trials coarse(lights, projectors, channels, displacement, options, std::ssize(few) < kLeastPixels ? pixels : few);
+  SLX_RETURN_IF_ERROR(coarse.BeginAt(0.0));
+  SLX_ASSIGN_OR_RETURN(const Found found, Search(coarse));
   if (found.at_bound) return SurfaceOffset{.at_bound = true};
-  const Trials trials(lights, projectors, channels, displacement, options, pixels);
+  Trials trials(lights, projectors, channels, displacement, options, pixels);
+  SLX_RETURN_IF_ERROR(trials.BeginAt(found.depth_mm, coarse.near()));
   SLX_ASSIGN_OR_RETURN(const auto before, trials.CostsAt(found.depth_mm - kNear));
   SLX_ASSIGN_OR_RETURN(const auto here, trials.CostsAt(found.depth_mm));
   SLX_ASSIGN_OR_RETURN(const auto after, trials.CostsAt(found.depth_mm + kNear));

@@ -14,7 +14,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kMapsVersion = 12;
+inline constexpr int kMapsVersion = 13;
 
 struct MapsFigures {
   std::string provenance;       // ProvenanceOf

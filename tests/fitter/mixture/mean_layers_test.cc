@@ -134,6 +134,31 @@ TEST(MeanLayers, AreTheSameForAnyNumberOfThreadsAndEmptyWithoutLight) {
   EXPECT_TRUE(MeanOf(made).weight.empty());
 }
 
+TEST(MeanLayers, FromLayersThatAreNearTakeFewerSweeps) {
+  const EmCases made = OneSkin(1000.0, 59);
+  EmOptions hurried = WithoutSurface();
+  hurried.max_iterations = 1;  // ten sweeps
+  const LayerSet settled = MeanOf(made);
+  LayerSet near = settled;
+  for (auto* values : {&near.depth_mm, &near.sigma_mm})
+    for (double& v : *values) v *= 1.05;
+  const auto from_near = MeanLayers(made.lights(), 1, hurried, kPixelsOfMean, {&near, 1});
+  ASSERT_TRUE(from_near.ok());
+  const auto off = [&](const LayerSet& set) {
+    return std::abs(MeanDepth(set) / MeanDepth(settled) - 1.0) +
+           std::abs(EffectiveWidth(set) / EffectiveWidth(settled) - 1.0);
+  };
+  std::printf("off by %.4f, from the usual start %.4f, at the start %.4f\n", off(from_near->at(0)),
+              off(MeanOf(made, hurried)), off(near));
+  EXPECT_LT(off(from_near->at(0)), 0.5 * off(near));
+  EXPECT_LT(off(from_near->at(0)), 0.5 * off(MeanOf(made, hurried)));
+  // A colour that nothing is known of has the usual start.
+  const LayerSet unknown;
+  const auto from_nothing = MeanLayers(made.lights(), 1, hurried, kPixelsOfMean, {&unknown, 1});
+  ASSERT_TRUE(from_nothing.ok());
+  EXPECT_EQ(from_nothing->at(0).sigma_mm, MeanOf(made, hurried).sigma_mm);
+}
+
 TEST(MeanLayers, HoldTheDepthOfTheBlindAtNothing) {
   EmOptions options = WithoutSurface();
   options.direction_blind = true;
