@@ -16,7 +16,7 @@ namespace {
 constexpr float kTiny = 1e-12F;
 constexpr float kFreeReachMm = 8.0F;  // of a mean in free mode
 
-void AddBack(const LaneRow& back, LaneRows& q) {
+void AddBack(const LaneRow& back, std::span<float> q) {
   if (std::ranges::all_of(back.at, [](float b) { return b == 0.0F; })) return;
   for (size_t at = 0; at < q.size(); ++at) q[at] += back[at % kEmLanes];
 }
@@ -51,9 +51,7 @@ EmBlock::EmBlock(std::span<const SrdBatch* const> lights, std::span<const std::v
     light.halo_samples = (light.pad_cells + light.reach_limit) / light.cells_per_sample + 2;
     for (auto* v : {&light.data, &light.surface_response, &light.model}) v->assign(RowOf(light.samples), 0.0F);
     light.response.assign(RowOf(light.taps()), 0.0F);
-    for (auto* v : {&light.unseen, &light.q}) v->assign(RowOf(light.grid.cells), 0.0F);
-    light.mass.assign(RowOf(light.grid.cells + 2 * light.reach_limit), 0.0F);
-    light.ratio.assign(RowOf(light.samples + 2 * light.halo_samples), 0.0F);
+    light.unseen.assign(RowOf(light.grid.cells), 0.0F);
   }
   for (int lane = 0; lane < kEmLanes; ++lane) Clear(lane);
 }
@@ -179,20 +177,24 @@ void EmBlock::Sweep(bool update) {
   if (prior_.On()) prior_.BeginSweep();
   const float* factor = factor_.empty() ? nullptr : factor_.data();
   const LayersOnGrid layers{rows_.layers, cell_weight_.data(), cell_mean_.data(), cell_sigma_.data()};
+  thread_local EmWork work;  // of all blocks: theirs would push each other out of the cache
   for (int p = 0; p < rows_.lights; ++p) {
     EmLight& light = lights_[p];
+    work.MakeRoomFor(light);
     if (factor != nullptr)
       DirectionalFactors(rows_, options_.scattering.directional, at_.data(), light, factor_.data());
     PlaceLayers(rows_, at_.data(), light, factor, cell_weight_.data(), cell_mean_.data(), cell_sigma_.data());
-    AddLayers(light.grid, layers, light.tiles, light.Mass());
-    Project(light, at_.data() + RowOf(rows_.surface(p)), at_.data() + RowOf(rows_.background(p)));
-    Compare(light, divergence_.data());
+    const int64_t before = work.tiles.evaluated();
+    AddLayers(light.grid, layers, work.tiles, work.Mass(light));
+    evaluated_components_ += work.tiles.evaluated() - before;
+    Project(light, work, at_.data() + RowOf(rows_.surface(p)), at_.data() + RowOf(rows_.background(p)));
+    Compare(light, work, divergence_.data());
     AddWhite(p);
     if (prior_.On()) prior_.AddShown(p, light, at_.data(), cell_weight_.data());
     if (!update) continue;
-    ProjectBack(light);
-    AddBack(light.white_back, light.q);
-    LayerMoments(layers, light.tiles, light.q.data(), moments_.data());
+    ProjectBack(light, work);
+    AddBack(light.white_back, {work.q.data(), RowOf(light.grid.cells)});
+    LayerMoments(layers, work.tiles, work.q.data(), moments_.data());
     AddMoments(rows_.layers, light, moments_.data(), sums_);
     UpdateFloor(p);
   }
@@ -472,12 +474,6 @@ void EmBlock::CompareWith(std::span<const int64_t> profiles, std::span<const Mix
 double EmBlock::PriorShare(int lane) const {
   const double total = prior_.Photons(lane);
   return total > 0.0 ? total / (total + lanes_[lane].own) : 0.0;
-}
-
-int64_t EmBlock::EvaluatedComponents() const {
-  int64_t sum = 0;
-  for (const EmLight& light : lights_) sum += light.tiles.evaluated();
-  return sum;
 }
 
 float EmBlock::MeanBackground(int lane) const {

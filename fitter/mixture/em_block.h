@@ -84,7 +84,7 @@ class EmBlock {
   [[nodiscard]] float LargestShift(int lane) const;
   // Profiles x cells x layers x sweeps so far: the whole grid, and what was evaluated of it.
   [[nodiscard]] int64_t GridComponents() const { return grid_components_; }
-  [[nodiscard]] int64_t EvaluatedComponents() const;
+  [[nodiscard]] int64_t EvaluatedComponents() const { return evaluated_components_; }
 
  private:
   struct Lane {
@@ -138,7 +138,7 @@ class EmBlock {
   LaneRow momentum_;
   LaneRows cell_weight_, cell_mean_, cell_sigma_, moments_, factor_;  // of the light at hand
   MomentSums sums_;
-  int64_t grid_components_ = 0;
+  int64_t grid_components_ = 0, evaluated_components_ = 0;
 };
 
 }  // namespace stratalux::fit

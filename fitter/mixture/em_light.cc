@@ -67,6 +67,7 @@ void LoadThinned(int reach, int lane, EmLight& light) {
   const double most = *std::ranges::max_element(seen);
   for (int c = 0; c < light.grid.cells; ++c)
     light.unseen[RowOf(c) + lane] = static_cast<float>(most - seen[static_cast<size_t>(c % light.cells_per_sample)]);
+  light.sees_all = false;
   light.full_coverage[lane] = static_cast<float>(most);
   if (!(light.white[lane] > 0.0F) || !(light.white_variance[lane] > 0.0F) || !(light.counts[lane] > 0.0F)) return;
   // As a sample of the others' photons per unit: its variance is then its value over them.
@@ -101,6 +102,7 @@ void LoadResponse(const SrdBatch& batch, int64_t profile, int lane, EmLight& lig
   if (IsThinned(batch, profile)) return LoadThinned(reach, lane, light);
   if (light.grid.wrapped) return;
   // Open windows: what of each cell no sample sees (B^T 1 short of the full coverage).
+  light.sees_all = false;
   for (int c = 0; c < light.grid.cells; ++c) light.unseen[RowOf(c) + lane] = light.coverage[lane];
   for (int k = 0; k < light.samples; ++k)
     for (int t = -reach; t < light.cells_per_sample + reach; ++t) {
@@ -111,6 +113,13 @@ void LoadResponse(const SrdBatch& batch, int64_t profile, int lane, EmLight& lig
 }
 
 }  // namespace
+
+void EmWork::MakeRoomFor(const EmLight& light) {
+  const auto make = [](LaneRows& rows, int count) { rows.resize(std::max(rows.size(), RowOf(count)), 0.0F); };
+  make(mass, light.grid.cells + 2 * light.reach_limit);
+  make(ratio, light.samples + 2 * light.halo_samples);
+  make(q, light.grid.cells);
+}
 
 bool IsThinned(const SrdBatch& batch, int64_t profile) {
   constexpr double kRounding = 1e-3;  // both are lengths in single precision
@@ -126,8 +135,10 @@ void ClearLane(int lane, EmLight& light) {
                        &light.coverage, &light.full_coverage, &light.white, &light.white_variance, &light.white_weight,
                        &light.white_back})
     (*row)[lane] = 0.0F;
-  for (LaneRows* rows : {&light.data, &light.surface_response, &light.unseen})
+  for (LaneRows* rows : {&light.data, &light.surface_response, &light.unseen}) {
+    if (rows == &light.unseen && light.sees_all) continue;
     for (size_t at = lane; at < rows->size(); at += kEmLanes) (*rows)[at] = 0.0F;
+  }
   for (int t = -light.reach; t < light.cells_per_sample + light.reach; ++t)
     light.response[RowOf(light.reach_limit + t) + lane] = 0.0F;
 }

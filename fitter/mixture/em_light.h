@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// One light's part of a block of profiles: data, geometry, line response and work space of the EM kernels.
+// One light's part of a block of profiles: data, geometry and line response; and the work space of the EM
+// kernels.
 #pragma once
 
 #include "fitter/mixture/em_kernel.h"
@@ -13,16 +14,18 @@ struct EmLight {
   EmGrid grid;
   int samples = 0;
   int cells_per_sample = 0;
-  int pad_cells = 0;    // unobserved cells on either side of an open window
-  int reach = 0;        // cells before and behind a sample's own that some lane's line response reaches
-  int reach_limit = 0;  // the most that `reach` may be
-  LaneRows data;        // [sample] max(y + shift, 0)
-  LaneRow shift;        // sigma_read^2 in counts over counts per unit (shifted Poisson)
+  int pad_cells = 0;     // unobserved cells on either side of an open window
+  int reach = 0;         // cells before and behind a sample's own that some lane's line response reaches
+  int reach_limit = 0;   // the most that `reach` may be
+  int halo_samples = 0;  // before and behind the light's own whose cells reach it
+  LaneRows data;         // [sample] max(y + shift, 0)
+  LaneRow shift;         // sigma_read^2 in counts over counts per unit (shifted Poisson)
   // Response of a sample to its own cells and `reach_limit` on either side: [tap], 0 beyond the lane's own reach.
   LaneRows response;
   LaneRows surface_response;  // [sample]: response to a delta at u = 0
   LaneRow surface_total;      // its sum
   LaneRows unseen;            // [cell]: full coverage minus B^T 1
+  bool sees_all = true;       // so far, all of it is 0
   LaneRow s, gain, counts;    // shift coefficient, angular gain, photon counts per unit (relative); counts 0: absent
   LaneRow cell_mm, origin;    // cell size; cell coordinate of u = 0
   // Of the directional weights: sec_i + sec_o - 2, and what a layer without depth or width shows, less 1.
@@ -37,17 +40,23 @@ struct EmLight {
   // (0: none), and what the E step gives back of it to each cell.
   LaneRow white_weight, white_back;
 
-  // Work space. `mass` has reach_limit, `ratio` halo_samples more rows on either side.
-  int halo_samples = 0;
-  LaneRows mass, q, model, ratio;
+  LaneRows model;                    // [sample]
   LaneRow ratio_sum, surface_ratio;  // sums of the ratios, plain and weighted with the surface response
-  LayerTiles tiles;
 
   [[nodiscard]] int taps() const { return 2 * reach_limit + cells_per_sample; }
-  [[nodiscard]] float* Mass() { return mass.data() + size_t(reach_limit) * kEmLanes; }
-  [[nodiscard]] float* Ratio() { return ratio.data() + size_t(halo_samples) * kEmLanes; }
   // Of the first of a sample's own cells.
   [[nodiscard]] const float* Response() const { return response.data() + size_t(reach_limit) * kEmLanes; }
+};
+
+// Work space of a sweep's E step, of one light after another: what all of them share stays in the nearest caches.
+struct EmWork {
+  LaneRows mass, ratio;  // with a light's reach_limit cells, its halo_samples, more on either side
+  LaneRows q;            // [cell]
+  LayerTiles tiles;
+
+  void MakeRoomFor(const EmLight& light);
+  [[nodiscard]] float* Mass(const EmLight& light) { return mass.data() + size_t(light.reach_limit) * kEmLanes; }
+  [[nodiscard]] float* Ratio(const EmLight& light) { return ratio.data() + size_t(light.halo_samples) * kEmLanes; }
 };
 
 // Whether combs of the cycle are left out: its lines light some columns more often than others.

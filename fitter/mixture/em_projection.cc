@@ -2,6 +2,7 @@
 #include "fitter/mixture/em_projection.h"
 
 #include <algorithm>
+#include <cstddef>
 #include <cstring>
 
 #undef HWY_TARGET_INCLUDE
@@ -20,49 +21,96 @@ using V = hn::Vec<D>;
 
 constexpr float kTiny = 1e-12F;
 
-// `count` periodic rows before the first and behind the last of `rows`.
-void CopyRound(float* first, int rows, int count) {
+// `count` rows before the first and behind the last of `rows`: periodic ones, or none.
+void Extend(float* first, int rows, int count, bool periodic) {
   const size_t bytes = sizeof(float) * kEmLanes * static_cast<size_t>(count);
+  if (!periodic) {
+    std::memset(first - size_t(count) * kEmLanes, 0, bytes);
+    std::memset(first + size_t(rows) * kEmLanes, 0, bytes);
+    return;
+  }
   std::memcpy(first - size_t(count) * kEmLanes, first + size_t(rows - count) * kEmLanes, bytes);
   std::memcpy(first + size_t(rows) * kEmLanes, first, bytes);
 }
 
-// Samples k .. k + kSamples share each load of the response.
-template <int kSamples>
-HWY_INLINE void ProjectSamples(const EmLight& light, const float* HWY_RESTRICT mass, int lane, const float* surface,
-                               const float* background, int k, float* HWY_RESTRICT model) {
+// Rows that are summed into together: their sums, and what they share, stay in registers.
+constexpr int kTogether = hn::MaxLanes(D()) == 16 ? 8 : 4;  // of 32 registers, of 16
+
+// sum[n] += in[n + i] response[i] over `taps` i, rows of `in` and of `response` each so far apart: kTaps at a time,
+// whose rows of `in` are loaded once.
+template <int kSums, int kTaps>
+HWY_INLINE void Correlate(const float* HWY_RESTRICT in, ptrdiff_t in_step, const float* HWY_RESTRICT response,
+                          ptrdiff_t response_step, int taps, V* sum) {
   const D d;
-  V sum[kSamples];
-  for (int i = 0; i < kSamples; ++i)
-    sum[i] = hn::MulAdd(hn::Load(d, surface + lane),
-                        hn::Load(d, light.surface_response.data() + size_t(k + i) * kEmLanes + lane),
-                        hn::Load(d, background + lane));
-  const float* response = light.Response() - size_t(light.reach) * kEmLanes + lane;
-  const float* at = mass + (light.pad_cells + k * light.cells_per_sample - light.reach) * kEmLanes + lane;
-  const int stride = light.cells_per_sample * kEmLanes;
-  for (int t = -light.reach; t < light.cells_per_sample + light.reach; ++t, response += kEmLanes, at += kEmLanes) {
-    const V r = hn::Load(d, response);
-    for (int i = 0; i < kSamples; ++i) sum[i] = hn::MulAdd(hn::Load(d, at + i * stride), r, sum[i]);
+  int i = 0;
+  for (; i + kTaps <= taps; i += kTaps, in += kTaps * in_step, response += kTaps * response_step) {
+    V row[kSums + kTaps - 1];
+    for (int n = 0; n < kSums + kTaps - 1; ++n) row[n] = hn::Load(d, in + n * in_step);
+    for (int t = 0; t < kTaps; ++t) {
+      const V r = hn::Load(d, response + t * response_step);
+      for (int n = 0; n < kSums; ++n) sum[n] = hn::MulAdd(row[n + t], r, sum[n]);
+    }
   }
-  for (int i = 0; i < kSamples; ++i) hn::Store(sum[i], d, model + size_t(k + i) * kEmLanes + lane);
+  if constexpr (kTaps > 1) Correlate<kSums, kTaps / 2>(in, in_step, response, response_step, taps - i, sum);
 }
 
-void Project(EmLight& light, const float* surface, const float* background) {
+// The cells j + i cps of a sample are those of sample 0, i samples on: of each j, samples and cells are a correlation.
+struct Taps {
+  int first = 0, count = 0;  // i
+};
+// One division for all of them, which would cost as much as half of the sums.
+class Phases {
+ public:
+  explicit Phases(const EmLight& light)
+      : cps_(light.cells_per_sample), whole_(light.reach / cps_), rest_(light.reach % cps_) {}
+  [[nodiscard]] Taps At(int j) const {
+    const int first = -whole_ - (rest_ + j >= cps_ ? 1 : 0), last = whole_ + (j < rest_ ? 1 : 0);
+    return {first, last - first + 1};
+  }
+
+ private:
+  int cps_, whole_, rest_;
+};
+
+template <int kSamples>
+HWY_INLINE void ProjectSamples(const EmLight& light, const Phases& phases, const float* HWY_RESTRICT mass, int lane,
+                               const float* surface, const float* background, int k, float* HWY_RESTRICT model) {
+  const D d;
+  const int cps = light.cells_per_sample;
+  const ptrdiff_t stride = ptrdiff_t{cps} * kEmLanes;
+  V sum[kSamples];
+  for (int n = 0; n < kSamples; ++n)
+    sum[n] = hn::MulAdd(hn::Load(d, surface + lane),
+                        hn::Load(d, light.surface_response.data() + size_t(k + n) * kEmLanes + lane),
+                        hn::Load(d, background + lane));
+  for (int j = 0; j < cps; ++j) {
+    const Taps taps = phases.At(j);
+    Correlate<kSamples, 4>(mass + ptrdiff_t{light.pad_cells + (k + taps.first) * cps + j} * kEmLanes + lane, stride,
+                           light.Response() + ptrdiff_t{taps.first * cps + j} * kEmLanes + lane, stride, taps.count,
+                           sum);
+  }
+  for (int n = 0; n < kSamples; ++n) hn::Store(sum[n], d, model + size_t(k + n) * kEmLanes + lane);
+}
+
+void Project(EmLight& light, EmWork& work, const float* surface, const float* background) {
   const int n = static_cast<int>(hn::Lanes(D()));
-  if (light.grid.wrapped) CopyRound(light.Mass(), light.grid.cells, light.reach);
+  const Phases phases(light);
+  float* mass = work.Mass(light);
+  Extend(mass, light.grid.cells, light.reach, light.grid.wrapped);
   for (int lane = 0; lane < kEmLanes; lane += n) {
     int k = 0;
-    for (; k + 4 <= light.samples; k += 4)
-      ProjectSamples<4>(light, light.Mass(), lane, surface, background, k, light.model.data());
+    for (; k + kTogether <= light.samples; k += kTogether)
+      ProjectSamples<kTogether>(light, phases, mass, lane, surface, background, k, light.model.data());
     for (; k < light.samples; ++k)
-      ProjectSamples<1>(light, light.Mass(), lane, surface, background, k, light.model.data());
+      ProjectSamples<1>(light, phases, mass, lane, surface, background, k, light.model.data());
   }
 }
 
-void Compare(EmLight& light, float* HWY_RESTRICT divergence) {
+void Compare(EmLight& light, EmWork& work, float* HWY_RESTRICT divergence) {
   const D d;
   const int n = static_cast<int>(hn::Lanes(d));
   const V one = hn::Set(d, 1.0F);
+  float* HWY_RESTRICT ratios = work.Ratio(light);
   for (int lane = 0; lane < kEmLanes; lane += n) {
     const V shift = hn::Load(d, light.shift.data() + lane), counts = hn::Load(d, light.counts.data() + lane);
     const auto present = hn::Gt(counts, hn::Zero(d));
@@ -73,7 +121,7 @@ void Compare(EmLight& light, float* HWY_RESTRICT divergence) {
       const V model = hn::Max(hn::Add(hn::Load(d, light.model.data() + at), shift), hn::Set(d, kTiny));
       const V inverse = hn::Div(one, model);
       const V ratio = hn::IfThenElseZero(present, hn::Mul(data, inverse));
-      hn::Store(ratio, d, light.Ratio() + at);
+      hn::Store(ratio, d, ratios + at);
       sum = hn::Add(sum, ratio);
       own = hn::MulAdd(ratio, hn::Load(d, light.surface_response.data() + at), own);
       // m - d + d log(d / m) = m ((1 + e) log(1 + e) - e) with d = m (1 + e): no cancellation near agreement.
@@ -88,36 +136,36 @@ void Compare(EmLight& light, float* HWY_RESTRICT divergence) {
   }
 }
 
-// The j-th cells of samples k .. k + kSamples share each load of the response: such a cell is number j + i cps from the
-// first one of sample k - i.
+// The j-th cells of samples k .. k + kSamples: such a cell is number j + i cps from the first one of sample k - i.
 template <int kSamples>
-HWY_INLINE void ProjectBackTo(const EmLight& light, const float* HWY_RESTRICT ratio, int lane, int j, int k,
-                              float* HWY_RESTRICT q) {
+HWY_INLINE void ProjectBackTo(const EmLight& light, const Taps& taps, const float* HWY_RESTRICT ratio, int lane, int j,
+                              int k, float* HWY_RESTRICT q) {
   const D d;
   const int cps = light.cells_per_sample;
-  const int first = -((light.reach + j) / cps), last = (cps + light.reach - 1 - j) / cps;
-  const size_t cell = static_cast<size_t>(light.pad_cells + k * cps + j) * kEmLanes + lane;
-  const size_t stride = static_cast<size_t>(cps) * kEmLanes;
+  const int last = taps.first + taps.count - 1;
+  const ptrdiff_t cell = ptrdiff_t{light.pad_cells + k * cps + j} * kEmLanes + lane, stride = ptrdiff_t{cps} * kEmLanes;
   V sum[kSamples];
-  for (int n = 0; n < kSamples; ++n) sum[n] = hn::Load(d, light.unseen.data() + cell + n * stride);
-  const float* from = ratio + (k - first) * kEmLanes + lane;
-  const float* response = light.Response() + (j + first * cps) * kEmLanes + lane;
-  for (int i = first; i <= last; ++i, from -= kEmLanes, response += stride) {
-    const V r = hn::Load(d, response);
-    for (int n = 0; n < kSamples; ++n) sum[n] = hn::MulAdd(hn::Load(d, from + n * kEmLanes), r, sum[n]);
-  }
+  for (int n = 0; n < kSamples; ++n)
+    sum[n] = light.sees_all ? hn::Zero(d) : hn::Load(d, light.unseen.data() + cell + n * stride);
+  Correlate<kSamples, 4>(ratio + ptrdiff_t{k - last} * kEmLanes + lane, kEmLanes,
+                         light.Response() + ptrdiff_t{j + last * cps} * kEmLanes + lane, -stride, taps.count, sum);
   for (int n = 0; n < kSamples; ++n) hn::Store(sum[n], d, q + cell + n * stride);
 }
 
-void ProjectBack(EmLight& light) {
+void ProjectBack(const EmLight& light, EmWork& work) {
   const int cps = light.cells_per_sample;
-  if (light.grid.wrapped) CopyRound(light.Ratio(), light.samples, std::min(light.reach / cps + 1, light.samples));
+  const Phases phases(light);
+  float* ratio = work.Ratio(light);
+  const bool wrapped = light.grid.wrapped;
+  Extend(ratio, light.samples, wrapped ? std::min(light.reach / cps + 1, light.samples) : light.halo_samples, wrapped);
   for (int lane = 0; lane < kEmLanes; lane += static_cast<int>(hn::Lanes(D())))
     for (int j = 0; j < cps; ++j) {
+      const Taps taps = phases.At(j);
       int k = -((light.pad_cells + j) / cps);
       const int behind = (light.grid.cells - 1 - light.pad_cells - j) / cps + 1;
-      for (; k + 4 <= behind; k += 4) ProjectBackTo<4>(light, light.Ratio(), lane, j, k, light.q.data());
-      for (; k < behind; ++k) ProjectBackTo<1>(light, light.Ratio(), lane, j, k, light.q.data());
+      for (; k + kTogether <= behind; k += kTogether)
+        ProjectBackTo<kTogether>(light, taps, ratio, lane, j, k, work.q.data());
+      for (; k < behind; ++k) ProjectBackTo<1>(light, taps, ratio, lane, j, k, work.q.data());
     }
 }
 
@@ -132,11 +180,13 @@ HWY_EXPORT(Project);
 HWY_EXPORT(Compare);
 HWY_EXPORT(ProjectBack);
 
-void Project(EmLight& light, const float* surface, const float* background) {
-  HWY_DYNAMIC_DISPATCH(Project)(light, surface, background);
+void Project(EmLight& light, EmWork& work, const float* surface, const float* background) {
+  HWY_DYNAMIC_DISPATCH(Project)(light, work, surface, background);
 }
-void Compare(EmLight& light, float* divergence) { HWY_DYNAMIC_DISPATCH(Compare)(light, divergence); }
-void ProjectBack(EmLight& light) { HWY_DYNAMIC_DISPATCH(ProjectBack)(light); }
+void Compare(EmLight& light, EmWork& work, float* divergence) {
+  HWY_DYNAMIC_DISPATCH(Compare)(light, work, divergence);
+}
+void ProjectBack(const EmLight& light, EmWork& work) { HWY_DYNAMIC_DISPATCH(ProjectBack)(light, work); }
 
 }  // namespace stratalux::fit
 #endif
