@@ -27,6 +27,7 @@
 #include "fitter/session/session_frames.h"
 #include "fitter/stages/layer_maps.h"
 #include "fitter/stages/layers_file.h"
+#include "shared/base/formatted.h"
 #include "tests/support/run_program.h"
 #include "tests/support/scratch_folder.h"
 #include "tests/support/text_file.h"
@@ -36,6 +37,10 @@ namespace {
 
 namespace fs = std::filesystem;
 using Json = nlohmann::json;
+
+// The better camera: electrons a DN, and DN of read noise.
+constexpr int kQuietGain = 400;
+constexpr double kQuietRead = 0.5;
 
 std::string Given(const char* variable, const char* otherwise) {
   const char* text = std::getenv(variable);
@@ -95,7 +100,7 @@ class Intervals : public ScratchFolderTest {
     const auto frames = SessionFrames::Open(noisy_.store, "latest");
     ASSERT_TRUE(frames.ok()) << frames.status().message();
     const fs::path scene = folder_ / "quiet.toml";
-    WriteText(scene, "[camera]\ngain_e_per_dn = 400\nread_noise_dn = 0.5\n");
+    WriteText(scene, Formatted("[camera]\ngain_e_per_dn = %d\nread_noise_dn = %.1f\n", kQuietGain, kQuietRead));
     quiet_ = Make("person-" + person + "-quiet", "=" + scene.string(),
                   " --seed " + person + " --exposure " + std::to_string(frames->plan()->exposure_ms), "");
     auto truth = SceneTruth::Open(noisy_.session);
@@ -112,8 +117,10 @@ class Intervals : public ScratchFolderTest {
 };
 
 // Of skin that both have fitted: is what the quiet fit finds within the noisy one's interval?
-std::array<Within, 3> LayersWithin(const Visit& noisy, const Visit& quiet, const Image<uint8_t>& skin) {
-  std::array<Within, 3> within;
+// The fourth: is the width of the simulated skin?
+std::array<Within, 4> LayersWithin(const Visit& noisy, const Visit& quiet, const Image<uint8_t>& skin,
+                                   const Image<float>& spread) {
+  std::array<Within, 4> within;
   const auto layers = LoadLayers(noisy.Made("fit")), without = LoadLayers(quiet.Made("fit"));
   const std::vector<std::string> names = {"total_weight.R",       "total_weight.G",       "total_weight.B",
                                           "mean_depth_mm.R",      "mean_depth_mm.G",      "mean_depth_mm.B",
@@ -132,6 +139,8 @@ std::array<Within, 3> LayersWithin(const Visit& noisy, const Visit& quiet, const
           const double half = kInterval95 * (*errors)(x, y, 3 * m + c),
                        off = (*maps[m].first)(x, y, c) - (*maps[m].second)(x, y, c);
           if (std::isfinite(half) && std::isfinite(off)) within[m].Add(std::abs(off) <= half);
+          if (m == 2 && std::isfinite(half) && std::isfinite(spread(x, y, c)))
+            within[3].Add(std::abs(found.effective_width_mm(x, y, c) - spread(x, y, c)) <= half);
         }
   return within;
 }
@@ -159,10 +168,16 @@ std::map<int, HoldOut> HoldOutsOf(const Visit& visit) {
   return found;
 }
 
-// Of narrower intervals the quiet camera's own noise, half a step and less, would be a part.
-constexpr double kQuietDn = 2.0;
+// Of narrower intervals the quiet camera's own noise would be most of what is judged.
+constexpr double kLeastHalfDn = 1.0;
 
-// By what the other hold-outs say, without the captured noise: is what the quiet camera saw within the interval?
+// Variance of the quiet camera's light, DN^2: of photons, of what it reads by, and of its steps of 1 DN.
+double QuietVariance(double light_dn, int takes) {
+  return (std::max(light_dn, 0.0) / kQuietGain + kQuietRead * kQuietRead + 1.0 / 12.0) / takes;
+}
+
+// By what the other hold-outs say, without the captured noise: is what the quiet camera saw within the interval,
+// widened by that camera's noise?
 Within LightWithin(const Visit& noisy, const Visit& quiet, const std::map<int, HoldOut>& holdouts, int projector,
                    const std::string& light, const SceneTruth& truth, const Image<uint8_t>& skin) {
   Within within;
@@ -195,7 +210,9 @@ Within LightWithin(const Visit& noisy, const Visit& quiet, const std::map<int, H
       for (int i = 0; i < prediction.width(); ++i) {
         if (skin(i, j) == 0 || (*lit)(i, j) == 0 || shape->lit[projector](i, j) == 0) continue;
         const double off = target->target(i, j, c) - prediction(i, j, c), half = error->HalfWidth(causes.At(i, j, c));
-        if (std::isfinite(off) && half >= kQuietDn) within.Add(std::abs(off) <= half);
+        if (!std::isfinite(off) || half < kLeastHalfDn) continue;
+        const double of_noise = kInterval95 * std::sqrt(QuietVariance(target->target(i, j, c), target->takes));
+        within.Add(std::abs(off) <= std::hypot(half, of_noise));
       }
   }
   return within;
@@ -204,10 +221,14 @@ Within LightWithin(const Visit& noisy, const Visit& quiet, const std::map<int, H
 TEST_F(Intervals, HoldTheTruthOfPeople) {
   for (const std::string& person : People()) {
     MakeBoth(person, " --full-evaluation --standard-errors");
-    const auto layers = LayersWithin(noisy_, quiet_, skin_);
-    std::printf("person %s: within 95 %% intervals: total weight %.3f, mean depth %.3f, effective width %.3f of %lld\n",
-                person.c_str(), layers[0].share(), layers[1].share(), layers[2].share(),
-                static_cast<long long>(layers[0].all));
+    const auto spread = truth_->Spread();
+    ASSERT_TRUE(spread.ok() && !spread->empty());
+    const auto layers = LayersWithin(noisy_, quiet_, skin_, *spread);
+    std::printf(
+        "person %s: within 95 %% intervals: total weight %.3f, mean depth %.3f, effective width %.3f (true one %.3f) "
+        "of %lld\n",
+        person.c_str(), layers[0].share(), layers[1].share(), layers[2].share(), layers[3].share(),
+        static_cast<long long>(layers[0].all));
     for (const Within& within : layers) EXPECT_GT(within.share(), 0.8);
     const auto holdouts = HoldOutsOf(noisy_);
     ASSERT_EQ(holdouts.size(), 4U);
