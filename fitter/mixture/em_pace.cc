@@ -17,7 +17,7 @@ LaneStep EmPace::Judge(double now, double tolerance, bool accelerated, int most_
   ++sweeps;
   momentum = 0.0F;
   LaneStep step = kAdvance;
-  if (!accelerated || now <= best * (1.0 + std::min(kNoise, tolerance))) {
+  if (!accelerated || now <= best * (1.0 + kNoise)) {
     const double next = 0.5 * (1.0 + std::sqrt(1.0 + 4.0 * t * t));
     if (accelerated) momentum = static_cast<float>((t - 1.0) / next);
     t = next;

@@ -34,7 +34,7 @@ void Extend(float* first, int rows, int count, bool periodic) {
 }
 
 // Rows that are summed into together: their sums, and what they share, stay in registers.
-constexpr int kTogether = hn::MaxLanes(D()) == 16 ? 8 : 4;  // of 32 registers, of 16
+constexpr int kTogether = HWY_TARGET == HWY_AVX3 || HWY_TARGET == HWY_NEON ? 8 : 4;  // of 32 registers, of 16
 
 // sum[n] += in[n + i] response[i] over `taps` i, rows of `in` and of `response` each so far apart: kTaps at a time,
 // whose rows of `in` are loaded once.

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <map>
 #include <string>
 #include <utility>
@@ -87,8 +88,11 @@ EmTasks TasksOf(std::span<const SrdBatch* const> lights, const Judgement& judged
   std::vector<std::pair<size_t, int64_t>> keys;  // grid and channel, profile
   std::vector<int> grid(lights.size());
   for (int64_t i : judged.work) {
+    float blur = std::numeric_limits<float>::max();
     for (size_t p = 0; p < lights.size(); ++p)
-      grid[p] = judged.usable[p][i] != 0 ? CellsPerSample(*lights[p], i, options) : 1;
+      if (judged.usable[p][i] != 0) blur = std::min(blur, lights[p]->blur_mm[i]);
+    for (size_t p = 0; p < lights.size(); ++p)
+      grid[p] = judged.usable[p][i] != 0 ? CellsPerSample(*lights[p], i, blur, options) : 1;
     const auto [at, is_new] = known.emplace(grid, tasks.grids_.size());
     if (is_new) tasks.grids_.push_back(grid);
     keys.emplace_back(at->second * channels + static_cast<size_t>(i % channels), i);

@@ -5,14 +5,13 @@
 
 namespace stratalux::fit {
 
-int CellsPerSample(const SrdBatch& batch, int64_t profile, const EmOptions& options) {
+int CellsPerSample(const SrdBatch& batch, int64_t profile, double blur_mm, const EmOptions& options) {
   const double step = batch.step_mm[profile];
   // More would be a step of decimetres, fitted coarsely rather than without end.
   constexpr double kMost = 256.0;
   // Cells of a quarter of the blur widen nothing that the samples could tell.
   constexpr double kCellsOfBlur = 4.0;
-  const double cell = std::max(batch.wrapped ? options.max_cell_mm : options.max_cell_mm / 2,
-                               double{batch.blur_mm[profile]} / kCellsOfBlur);
+  const double cell = std::max(batch.wrapped ? options.max_cell_mm : options.max_cell_mm / 2, blur_mm / kCellsOfBlur);
   const int fine = static_cast<int>(std::min(std::ceil(step / cell), kMost));
   return std::max(batch.wrapped ? options.cells_per_sample : 1, fine);
 }

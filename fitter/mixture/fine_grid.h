@@ -12,8 +12,9 @@
 
 namespace stratalux::fit {
 
-// Cells of the fine grid per sample that a profile of `batch` needs.
-[[nodiscard]] int CellsPerSample(const SrdBatch& batch, int64_t profile, const EmOptions& options);
+// Cells of the fine grid per sample that a profile of `batch` needs, seen through `blur_mm` by the light, of those that
+// it is fitted to, which blurs it least: layers are no narrower than the widest cell of any.
+[[nodiscard]] int CellsPerSample(const SrdBatch& batch, int64_t profile, double blur_mm, const EmOptions& options);
 
 // A light with its fine grid z and the line response B on it.
 class FineGrid {

@@ -182,6 +182,7 @@ Result<std::vector<LayerSet>> MeanLayers(std::span<const SrdBatch* const> lights
                                          const EmOptions& options, int64_t pixels, std::span<const LayerSet> start) {
   SLX_RETURN_IF_ERROR(options.Validate());
   SLX_CHECK(start.empty() || std::ssize(start) == channels);
+  for (const LayerSet& of : start) SLX_CHECK(of.weight.empty() || std::ssize(of.weight) == options.layers);
   SLX_CHECK(pixels >= 1);
   if (lights.empty()) return Status::Usage("EM needs at least one light");
   SLX_RETURN_IF_ERROR(CheckLights(lights, lights[0]->profiles()));

@@ -18,7 +18,7 @@ ProfileLight ProfileLightOf(const SrdBatch& batch, int64_t profile, const EmOpti
   light.first_u_mm = batch.first_u_mm[profile];
   light.step_mm = batch.step_mm[profile];
   light.wrapped = batch.wrapped;
-  light.cells_per_sample = CellsPerSample(batch, profile, options);
+  light.cells_per_sample = CellsPerSample(batch, profile, batch.blur_mm[profile], options);
   light.line = LineResponseOf(batch, profile, light.step_mm / light.cells_per_sample);
   const PhotonNoise noise = PhotonNoiseOf(batch, profile);
   light.counts = noise.counts;

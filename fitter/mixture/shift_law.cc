@@ -10,14 +10,6 @@ namespace {
 
 constexpr std::array<const char*, 3> kLaws = {"paper", "refracted", "refracted_sine"};
 
-double FresnelTransmission(double cos_in, double eta) {
-  const double sin_t = std::sqrt(std::max(0.0, 1.0 - cos_in * cos_in)) / eta;
-  const double cos_t = std::sqrt(1.0 - sin_t * sin_t);
-  const double s = (cos_in - eta * cos_t) / (cos_in + eta * cos_t);
-  const double p = (eta * cos_in - cos_t) / (eta * cos_in + cos_t);
-  return 1.0 - 0.5 * (s * s + p * p);
-}
-
 }  // namespace
 
 const char* ToString(ShiftLaw law) { return kLaws[static_cast<size_t>(law)]; }
@@ -35,6 +27,14 @@ double TangentialShift(ShiftLaw law, double slope_along, double slope_across, do
   const double sin_t = slope / std::sqrt(1.0 + slope * slope) / eta;
   const double length = law == ShiftLaw::kRefractedSine ? sin_t : sin_t / std::sqrt(1.0 - sin_t * sin_t);
   return length * slope_along / slope;
+}
+
+double FresnelTransmission(double cos_in, double eta) {
+  const double sin_t = std::sqrt(std::max(0.0, 1.0 - cos_in * cos_in)) / eta;
+  const double cos_t = std::sqrt(1.0 - sin_t * sin_t);
+  const double s = (cos_in - eta * cos_t) / (cos_in + eta * cos_t);
+  const double p = (eta * cos_in - cos_t) / (eta * cos_in + cos_t);
+  return 1.0 - 0.5 * (s * s + p * p);
 }
 
 double AngularGain(double cos_in, double eta, double tau) {

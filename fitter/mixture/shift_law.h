@@ -20,6 +20,9 @@ enum class ShiftLaw : uint8_t { kPaper, kRefracted, kRefractedSine };
 // refracted_sine: its sine (a step of length d along the ray, Wang & Jacques 1995).
 [[nodiscard]] double TangentialShift(ShiftLaw law, double slope_along, double slope_across, double eta);
 
+// What enters of unpolarised light that meets a surface of index eta at that cosine (Fresnel).
+[[nodiscard]] double FresnelTransmission(double cos_in, double eta);
+
 // g = F(theta_i) / F(0) exp(-tau (sec theta_t - 1)): Fresnel transmission into the skin and the oblique path through
 // the epidermis; 1 at normal incidence.
 [[nodiscard]] double AngularGain(double cos_in, double eta, double tau);

@@ -24,8 +24,8 @@ namespace {
 constexpr double kLeastCos = 0.5;
 constexpr double kLeastCosOfCurve = 0.2;  // a curve of its own takes nothing of the gain's: the steeper the better
 // Where the light does not tell the curve, it is GGX: standard deviation from 1. What (2) leaves is common to
-// neighbours and to lights, so that of the profiles' number that share counts as independent.
-constexpr double kCurvePrior = 0.5, kIndependent = 1e-3;
+// neighbours and to lights, so that without noise, which is not, all profiles count as that many.
+constexpr double kCurvePrior = 0.5, kIndependentProfiles = 1000.0;
 // Of the cost, a profile: less is what the gain leaves on a surface that is GGX (docs/math/surface.md).
 constexpr double kWorthwhileCurve = 0.03;
 // Of the gloss, the same two; before light has told, gloss 1 is half of what facets that lie so much flatter do.
@@ -54,8 +54,7 @@ T Facets(const T& roughness, const ReflectionAngles& a, double eta) {
   using std::sqrt;
   const T a2 = roughness * roughness;
   const auto smith = [&a2](double c) -> T { return 2.0 * c / (c + sqrt(a2 + (1.0 - a2) * c * c)); };
-  const double f0 = std::pow((eta - 1.0) / (eta + 1.0), 2);
-  const double fresnel = f0 + (1.0 - f0) * std::pow(1.0 - std::clamp(a.half_in, 0.0, 1.0), 5);
+  const double fresnel = 1.0 - FresnelTransmission(std::clamp(a.half_in, 0.0, 1.0), eta);
   return GgxTilts(roughness, a.normal_half * a.normal_half) * smith(a.normal_in) * smith(a.normal_out) *
          (fresnel / (4.0 * a.normal_in * a.normal_out));
 }
@@ -87,6 +86,7 @@ double HairsKernel(const ReflectionAngles& a) {
 // One light of a profile.
 struct Shown {
   double reflectance = 0.0, sigma = 0.0;
+  double of_model = 1.0;             // share of sigma^2 that is no noise
   double fresnel = 1.0, path = 0.0;  // the gain is fresnel exp(-tau path)
   double few = 1.0;
   ReflectionAngles angles;
@@ -205,7 +205,11 @@ std::vector<Shown> ShownBy(std::span<const SrdBatch* const> lights, int64_t i, d
     shown.push_back(s);
   }
   mean /= static_cast<double>(std::max<size_t>(shown.size(), 1));
-  for (Shown& s : shown) s.sigma = std::hypot(s.sigma, kModelError * mean);
+  for (Shown& s : shown) {
+    const double of_model = kModelError * mean;
+    s.sigma = std::hypot(s.sigma, of_model);
+    s.of_model = of_model * of_model / (s.sigma * s.sigma);
+  }
   return shown;
 }
 
@@ -338,11 +342,23 @@ class CurveFit {
   double* NarrowOf(const CurvedProfile& profile) { return &gain_.narrow[profile.place % channels_]; }
   [[nodiscard]] double Worthwhile(double a_profile) const { return a_profile * static_cast<double>(profiles_.size()); }
 
+  // How many profiles count as one: of N whose errors have a share r in common N0 at a time, 1 + (N / N0 - 1) r.
+  [[nodiscard]] double Together() const {
+    double common = 0.0, lights = 0.0;
+    for (const CurvedProfile& profile : profiles_)
+      for (const Shown& s : profile.lights) {
+        common += s.of_model;
+        lights += 1.0;
+      }
+    const double cells = static_cast<double>(profiles_.size()) / kIndependentProfiles;
+    return 1.0 + std::max(cells - 1.0, 0.0) * common / std::max(lights, 1.0);
+  }
+
   template <int kBlock>
   void AddPrior(const FacetCurve& expected, double sigma, double* curve) {
     problem_.AddResidualBlock(
         new ceres::AutoDiffCostFunction<CurvePrior, kTilts, kBlock>(new CurvePrior{expected, sigma}),
-        new ceres::ScaledLoss(nullptr, Worthwhile(kIndependent), ceres::TAKE_OWNERSHIP), curve);
+        new ceres::ScaledLoss(nullptr, Together(), ceres::TAKE_OWNERSHIP), curve);
   }
 
   void TakeCurve() {

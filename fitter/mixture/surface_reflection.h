@@ -3,9 +3,9 @@
 // of one pixel (model section 7), but it is colourless and follows the directions of lamp and eye in a way that light
 // from the layers does not: the training lights of a whole session tell it.
 //
-// Torrance & Sparrow facets, Schlick's Fresnel term. How many of them tilt how far follows GGX [Walter et al. 2007] of
-// one strength and roughness (skin: Weyrich et al. 2006) times a curve that the session's own light draws, since no
-// analytic distribution is that of skin; beside them fine hairs (docs/math/surface.md).
+// Torrance & Sparrow facets, each a mirror by Fresnel's law, unpolarised. How many of them tilt how far follows GGX
+// [Walter et al. 2007] of one strength and roughness (skin: Weyrich et al. 2006) times a curve that the session's own
+// light draws, since no analytic distribution is that of skin; beside them fine hairs (docs/math/surface.md).
 #pragma once
 
 #include <Eigen/Core>

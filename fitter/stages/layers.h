@@ -12,7 +12,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kFitVersion = 20;
+inline constexpr int kFitVersion = 21;
 
 // What a session's fit finds on its training lights by itself.
 struct SessionChoices {

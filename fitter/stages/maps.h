@@ -14,7 +14,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kMapsVersion = 14;
+inline constexpr int kMapsVersion = 15;
 
 struct MapsFigures {
   std::string provenance;       // ProvenanceOf

@@ -3,8 +3,8 @@
 //
 //   pi f_r(i, o) = pi [ strength facets(i, o) E(i, o) + f_fuzz(i, o) ],   E = exp(-tau (1/n.i + 1/n.o))
 //
-// kGgx, the form that the fitter fits, too (Walter et al. 2007): D of GGX, Smith's G(i) G(o), Schlick's F from 0.028.
-// kBeckmann shares nothing with it but Torrance & Sparrow's F D G / (4 n.i n.o):
+// kGgx, the form that the fitter fits, too, but for F (Walter et al. 2007): D of GGX, Smith's G(i) G(o), Schlick's F
+// from 0.028. kBeckmann shares nothing with it but Torrance & Sparrow's F D G / (4 n.i n.o):
 //   D = exp(-tan^2 / m^2) / (pi m^2 cos^4)                       Gaussian slopes, mean square m^2 (Beckmann 1963)
 //   G = 1 / (1 + Lambda(i) + Lambda(o)),   Lambda = (erf a - 1) / 2 + exp(-a^2) / (2 a sqrt(pi)),   a = cot / m
 //                                                                masking and shadowing of one height (Heitz 2014)

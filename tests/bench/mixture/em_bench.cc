@@ -98,7 +98,7 @@ void Components(benchmark::State& state, int64_t target) {
   const EmCases& skins = Skins();
   const auto lights = skins.lights();
   const std::vector<std::vector<uint8_t>> usable(lights.size(), std::vector<uint8_t>(kSkins, 1));
-  const std::vector<int> cells(lights.size(), fit::CellsPerSample(*lights[0], 0, EmOptions()));
+  const std::vector<int> cells(lights.size(), fit::CellsPerSample(*lights[0], 0, lights[0]->blur_mm[0], EmOptions()));
   std::vector<int64_t> members(kSkins);
   std::iota(members.begin(), members.end(), 0);
   const EmOptions options = Plain(50);

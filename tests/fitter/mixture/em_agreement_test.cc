@@ -74,6 +74,28 @@ TEST(EmAgreement, OpenWindows) {
   ExpectAgreement({.profiles = 2, .samples = 41, .wrapped = false, .peak_counts = 20000}, Plain(30), 12);
 }
 
+TEST(EmAgreement, AnyNumberOfSamplesOnEveryInstructionSet) {
+  ForEachSimdTarget([](const char* name) {
+    SCOPED_TRACE(name);
+    for (const int samples : {61, 12}) ExpectAgreement({.profiles = 2, .samples = samples}, Plain(20), 21);
+  });
+}
+
+// Of one profile, one after another on the same work space: a comb, a short open window, a shorter comb.
+TEST(EmAgreement, LightsOfDifferentSizes) {
+  const EmOptions options = Plain(30);
+  const LayerSet skin = {{0.2, 0.15, 0.1}, {0.1, 0.4, 0.8}, {0.3, 0.8, 2.0}};
+  const EmCases combs = MakeEmCases({.profiles = 2, .skins = {skin}}, options, 22);
+  const EmCases windows = MakeEmCases({.profiles = 2, .samples = 21, .wrapped = false, .skins = {skin}}, options, 23);
+  const EmCases short_combs = MakeEmCases({.profiles = 2, .samples = 29, .skins = {skin}}, options, 24);
+  const std::vector<const SrdBatch*> lights = {&combs.batches[0], &windows.batches[1], &short_combs.batches[2]};
+  const MixtureMap map = Fit(lights, options);
+  for (int64_t i = 0; i < 2; ++i) {
+    SCOPED_TRACE(i);
+    ExpectAsReference(map, i, Reference(lights, i, options));
+  }
+}
+
 TEST(EmAgreement, PooledQuads) { ExpectAgreement({.profiles = 2, .pool = 2}, Plain(30), 20); }
 
 TEST(EmAgreement, FreeModeOfASingleLight) {
@@ -119,11 +141,13 @@ TEST(EmBlock, AProfilesResultDoesNotDependOnItsCompany) {
   EmOptions options;
   options.tolerance = 1e-3;  // some lanes settle early and make room
   options.max_iterations = 40;
-  const EmCases all = MakeEmCases({.profiles = 40, .peak_counts = 500}, options, 16);
+  EmCases all = MakeEmCases({.profiles = 40, .peak_counts = 500}, options, 16);
+  for (SrdBatch& light : all.batches)  // some are of thinned cycles
+    for (int i = 0; i < 40; i += 3) light.line_width_mm[i] *= 0.5F;
   const MixtureMap together = Fit(all.lights(), options);
   const auto [least, most] = std::minmax_element(together.iterations.begin(), together.iterations.end());
   ASSERT_LT(*least, *most) << "the test wants profiles that settle at different sweeps";
-  for (int i : {0, 17, 39}) {
+  for (int i : {0, 17, 18, 38}) {
     const MixtureMap alone = Fit(Pick(all, {i}).lights(), options);
     EXPECT_EQ(alone.iterations[0], together.iterations[i]);
     EXPECT_EQ(alone.divergence[0], together.divergence[i]);

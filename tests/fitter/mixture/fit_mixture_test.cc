@@ -347,13 +347,13 @@ TEST(FitMixture, CellsNeedNotBeFinerThanTheBlur) {
     EXPECT_TRUE(map.ok());
     return ShapeError(made, *map, of, 1, camera);
   };
+  const auto cells = [&](const EmOptions& of) {
+    return CellsPerSample(made.batches[0], 0, made.batches[0].blur_mm[0], of);
+  };
   const double as_blurred = error(options), finer = error(fine), coarser = error(coarse);
-  std::printf(
-      "error of the shape of unseen light: %.5f, with finer cells %.5f, with coarser ones %.5f; cells a sample "
-      "%d, %d, %d\n",
-      as_blurred, finer, coarser, CellsPerSample(made.batches[0], 0, options), CellsPerSample(made.batches[0], 0, fine),
-      CellsPerSample(made.batches[0], 0, coarse));
-  EXPECT_LT(CellsPerSample(made.batches[0], 0, options), CellsPerSample(made.batches[0], 0, fine) / 2);
+  std::printf("error of the shape of unseen light: %.5f, with finer cells %.5f, with coarser ones %.5f\n", as_blurred,
+              finer, coarser);
+  EXPECT_LT(cells(options), cells(fine) / 2);
   EXPECT_LT(as_blurred, 1.05 * finer);
   EXPECT_GT(coarser, 1.2 * finer);
 }
