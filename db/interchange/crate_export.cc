@@ -141,7 +141,8 @@ class CrateWriter {
         names.push_back(prefix_ + "fits/" + fit.id + "/" + file.string());
     for (const std::string& file : truth) names.push_back(prefix_ + file);
     SLX_RETURN_IF_ERROR(LogAccess(store_.folder(), "export", id, ExportPlace(staging_.out())));
-    return BeginExport(store_.folder(), "export", id, staging_.folder(), names);
+    // The staging folder is ours alone: whoever has a mark there is in this crate.
+    return BeginExport(store_.folder(), "export", id, staging_.folder(), names, ExportsIn(staging_.folder()));
   }
 
   Status WriteFrames(const std::string& id, const std::vector<FrameRow>& frames, DescribedSession& described,

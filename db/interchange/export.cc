@@ -195,8 +195,10 @@ Result<ExportReport> ExportVisitor(const SessionStore& store, const std::string&
   SLX_RETURN_IF_ERROR(MakeFolder(options.out));
   // Both speak of every session, and name the visitor: they go with whichever is forgotten first, as in a crate.
   const std::vector<std::string> of_all = {known.filename().string(), readme.filename().string()};
-  for (const SessionSummary& session : sessions)
-    SLX_RETURN_IF_ERROR(BeginExport(store.folder(), "export", session.info.id, options.out, of_all));
+  std::vector<std::string> together;
+  for (const SessionSummary& session : sessions) together.push_back(session.info.id);
+  for (const std::string& session : together)
+    SLX_RETURN_IF_ERROR(BeginExport(store.folder(), "export", session, options.out, of_all, together));
   ExportReport total;
   const auto write = [&]() -> Status {
     SLX_RETURN_IF_ERROR(WriteTextOnce(known, json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n").status());

@@ -35,6 +35,28 @@ Result<std::vector<std::string>> ReadMarker(const fs::path& file, const std::str
   return files;
 }
 
+// A forgetting of the other session would delete what is written there under its files' names.
+Status RefuseFilesOfOthers(const fs::path& folder, const std::string& session_id, const std::vector<std::string>& files,
+                           const std::vector<std::string>& together) {
+  for (const std::string& other : ExportsIn(folder)) {
+    if (other == session_id || std::ranges::find(together, other) != together.end()) continue;
+    const auto listed = ReadMarker(ExportMarker(folder, other), other);
+    if (!listed.ok()) {
+      // Forgotten meanwhile, or damaged: by such a marker nothing is deleted.
+      if (const StatusCode code = listed.status().code();
+          code == StatusCode::kNotFound || code == StatusCode::kIntegrity)
+        continue;
+      return listed.status();
+    }
+    const std::set<std::string> theirs(listed->begin(), listed->end());
+    for (const std::string& name : files)
+      if (theirs.contains(name))
+        return Status::Usage(folder.string() + " holds an export of session " + other + ", and " + name +
+                             " is one of its files: choose another folder");
+  }
+  return Status::Ok();
+}
+
 std::string HostName() {
   std::array<char, 256> name{};
   return gethostname(name.data(), name.size() - 1) == 0 ? name.data() : "localhost";
@@ -65,7 +87,9 @@ Status WriteExportMarker(const fs::path& folder, const std::string& session_id, 
 }
 
 Status BeginExport(const fs::path& store, const std::string& action, const std::string& session_id,
-                   const fs::path& folder, const std::vector<std::string>& files) {
+                   const fs::path& folder, const std::vector<std::string>& files,
+                   const std::vector<std::string>& together) {
+  SLX_RETURN_IF_ERROR(RefuseFilesOfOthers(folder, session_id, files, together));
   SLX_RETURN_IF_ERROR(LogAccess(store, action, session_id, ExportPlace(folder)));
   // Behind the row: a forgetting that is entered later finds it, one that was entered before is seen here.
   SLX_RETURN_IF_ERROR(RefuseForgotten(store, session_id));

@@ -21,9 +21,11 @@ Status WriteExportMarker(const std::filesystem::path& folder, const std::string&
                          const std::vector<std::string>& files);
 
 // What every export calls before its first file: the row of the access log (access_log.h), then the marker. kUsage for
-// a session that was forgotten.
+// a session that was forgotten; and, before anything is written, for a file that the marker of another session lists,
+// but for the sessions `together` with which this one shares files of one export.
 Status BeginExport(const std::filesystem::path& store, const std::string& action, const std::string& session_id,
-                   const std::filesystem::path& folder, const std::vector<std::string>& files);
+                   const std::filesystem::path& folder, const std::vector<std::string>& files,
+                   const std::vector<std::string>& together = {});
 // And behind its last: of a session that was forgotten meanwhile `files` are deleted, and that is kUsage.
 Status EndExport(const std::filesystem::path& store, const std::string& session_id, const std::filesystem::path& folder,
                  const std::vector<std::string>& files);

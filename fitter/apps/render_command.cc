@@ -6,7 +6,6 @@
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 
-#include "db/catalogue/fit_reader.h"
 #include "db/privacy/export_marker.h"
 #include "fitter/apps/run_command.h"
 #include "fitter/evaluation/interval_figures.h"
@@ -57,11 +56,8 @@ Status Render(const RenderFlags& f, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(auto frames, SessionFrames::Open(f.store, chosen));
   for (const std::string& note : frames.store().notes()) logger.Warning(note);
   const std::string session = frames.info().id;
-  SLX_ASSIGN_OR_RETURN(const auto seal, db::FindSeal(frames.store(), session));
-  StoredFit stored{session, f.fit, frames.store().FitFolder(session, f.fit), seal};
-  if (f.fit.empty()) {
-    SLX_ASSIGN_OR_RETURN(stored, NewestFit(f.store, session, logger));
-  }
+  SLX_ASSIGN_OR_RETURN(const auto stored,
+                       f.fit.empty() ? NewestFit(f.store, session, logger) : NamedFit(f.store, session, f.fit, logger));
   SavedFit fit;
   SLX_RETURN_IF_ERROR(ReadFit(stored, [&](const std::filesystem::path& folder) -> Status {
     SLX_ASSIGN_OR_RETURN(fit, LoadFit(folder, ChoiceOf(f.maps)));

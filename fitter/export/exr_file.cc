@@ -2,13 +2,17 @@
 #include "fitter/export/exr_file.h"
 
 #include <algorithm>
+#include <cerrno>
 #include <cstddef>
+#include <cstring>
+#include <fstream>
 
 #include <ImfChannelList.h>
 #include <ImfFrameBuffer.h>
 #include <ImfHeader.h>
 #include <ImfInputFile.h>
 #include <ImfOutputFile.h>
+#include <ImfStdIO.h>
 #include <ImfThreading.h>
 
 #include "shared/base/parallel.h"
@@ -85,14 +89,23 @@ Status WriteExr(const std::filesystem::path& file, ImageView<const float> image,
     // takes four times as long to write them.
     header.compression() = Imf::RLE_COMPRESSION;
     for (const std::string& name : channels) header.channels().insert(name.c_str(), Imf::Channel(Imf::FLOAT));
-    Imf::OutputFile out(file.c_str(), header, CompressorThreads());
-    Strip strip(image.width(), image.channels());
-    for (int y = 0; y < image.height(); y += Strip::kLines) {
-      const int lines = std::min(Strip::kLines, image.height() - y);
-      strip.Take(image.row(y), lines);
-      out.setFrameBuffer(strip.Buffer(channels, 0, y));
-      out.writePixels(lines);
+    // OpenEXR writes the last bytes, and where each block of lines lies, in a destructor that swallows what fails: the
+    // stream, which is ours, remembers it.
+    std::ofstream bytes(file, std::ios::binary | std::ios::trunc);
+    if (!bytes) return Status::Failed("cannot write " + file.string() + ": " + std::strerror(errno));
+    {
+      Imf::StdOFStream stream(bytes, file.c_str());
+      Imf::OutputFile out(stream, header, CompressorThreads());
+      Strip strip(image.width(), image.channels());
+      for (int y = 0; y < image.height(); y += Strip::kLines) {
+        const int lines = std::min(Strip::kLines, image.height() - y);
+        strip.Take(image.row(y), lines);
+        out.setFrameBuffer(strip.Buffer(channels, 0, y));
+        out.writePixels(lines);
+      }
     }
+    bytes.close();
+    if (!bytes) return Status::Failed("cannot write " + file.string() + ": " + std::strerror(errno));
   } catch (const std::exception& error) {
     return Status::Failed("cannot write " + file.string() + ": " + error.what());
   }

@@ -34,18 +34,6 @@ struct Loaded {
   bool sealed = false;
 };
 
-Result<StoredFit> NamedFit(const SessionExportOptions& options, Logger& logger) {
-  SLX_ASSIGN_OR_RETURN(const auto chosen, ChooseSession(options.store, options.session, SessionUse::kFit, logger));
-  SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(options.store, db::AccessMode::kReadOnly));
-  SLX_ASSIGN_OR_RETURN(const auto row, store.FindSession(chosen));
-  SLX_ASSIGN_OR_RETURN(const auto fits, store.ListFits(row.info.id));
-  if (std::none_of(fits.begin(), fits.end(), [&](const db::FitRow& fit) { return fit.id == options.fit; }))
-    return Status::NotFound("session " + row.info.id + " has no fit " + options.fit +
-                            " (`stratalux-db show` lists them)");
-  return StoredFit{row.info.id, options.fit, store.FitFolder(row.info.id, options.fit),
-                   db::SealOf(store.folder(), row.info, row.key_id)};
-}
-
 Result<Loaded> LoadFrom(const StoredFit& fit) {
   Loaded loaded;
   SLX_RETURN_IF_ERROR(ReadFit(fit, [&](const fs::path& folder) -> Status {
@@ -103,7 +91,7 @@ Result<Loaded> LoadFromShape(const SessionExportOptions& options, Logger& logger
 
 Result<Loaded> Load(const SessionExportOptions& options, Logger& logger) {
   if (!options.fit.empty()) {
-    SLX_ASSIGN_OR_RETURN(const StoredFit fit, NamedFit(options, logger));
+    SLX_ASSIGN_OR_RETURN(const StoredFit fit, NamedFit(options.store, options.session, options.fit, logger));
     return LoadFrom(fit);
   }
   const auto newest = NewestFit(options.store, options.session, logger);

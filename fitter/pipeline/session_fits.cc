@@ -114,6 +114,18 @@ Result<StoredFit> NewestFit(const std::string& store_folder, const std::string& 
                    db::SealOf(store.folder(), row.info, row.key_id)};
 }
 
+Result<StoredFit> NamedFit(const std::string& store_folder, const std::string& session, const std::string& fit,
+                           Logger& logger) {
+  SLX_ASSIGN_OR_RETURN(const auto chosen, ChooseSession(store_folder, session, SessionUse::kFit, logger));
+  SLX_ASSIGN_OR_RETURN(const auto store, db::SessionStore::Open(store_folder, db::AccessMode::kReadOnly));
+  SLX_ASSIGN_OR_RETURN(const auto row, store.FindSession(chosen));
+  SLX_ASSIGN_OR_RETURN(const auto fits, store.ListFits(row.info.id));
+  if (std::none_of(fits.begin(), fits.end(), [&](const db::FitRow& one) { return one.id == fit; }))
+    return Status::NotFound("session " + row.info.id + " has no fit " + fit + " (`stratalux-db show` lists them)");
+  return StoredFit{row.info.id, fit, store.FitFolder(row.info.id, fit),
+                   db::SealOf(store.folder(), row.info, row.key_id)};
+}
+
 Status ReadFit(const StoredFit& fit, const UseOfFolder& read) {
   if (std::error_code error; fs::exists(fit.folder / db::kFitRecordFile, error))
     SLX_RETURN_IF_ERROR(db::CheckFitFiles(fit.folder));
@@ -134,9 +146,12 @@ Status CopyFit(const std::string& store, const StoredFit& fit, const std::string
     for (const std::string& name : names) {
       SLX_ASSIGN_OR_RETURN(const auto plain, reader.Read(name));
       SLX_RETURN_IF_ERROR(db::MakeFolder((out / name).parent_path()));
-      std::error_code error;
-      fs::copy_file(plain.path, out / name, fs::copy_options::overwrite_existing, error);
-      if (error) return Status::Failed("cannot write " + (out / name).string() + ": " + error.message());
+      SLX_RETURN_IF_ERROR(db::WriteExportedFile(out / name, [&](const fs::path& beside) -> Status {
+        std::error_code error;
+        fs::remove(beside, error);  // of a killed copy: as read-only as the fit's
+        fs::copy_file(plain.path, beside, error);
+        return error ? Status::Failed("cannot write " + beside.string() + ": " + error.message()) : Status::Ok();
+      }));
     }
     return Status::Ok();
   });

@@ -28,6 +28,9 @@ struct StoredFit {
 
 // The session's newest fit; kNotFound when there is none. `session`: also "latest", the newest session that has one.
 [[nodiscard]] Result<StoredFit> NewestFit(const std::string& store, const std::string& session, Logger& logger);
+// The one of that name; kNotFound when the session has no such fit.
+[[nodiscard]] Result<StoredFit> NamedFit(const std::string& store, const std::string& session, const std::string& fit,
+                                         Logger& logger);
 // Holds its files against its record, then lets `read` find them, plain, in the folder it is given. kNotFound without
 // the key of an encrypted session.
 Status ReadFit(const StoredFit& fit, const UseOfFolder& read);

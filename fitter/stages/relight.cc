@@ -158,6 +158,11 @@ Status WriteRelit(const std::filesystem::path& folder, const Relit& relit, doubl
   std::error_code error;
   std::filesystem::create_directories(folder, error);
   if (error) return Status::Failed("cannot create " + folder.string() + ": " + error.message());
+  // The record last, and none before: where it lies, the pictures are those that it names.
+  for (const char* earlier : {"relit.json", "interval.exr"}) {
+    fs::remove(folder / earlier, error);
+    if (error) return Status::Failed("cannot replace " + (folder / earlier).string() + ": " + error.message());
+  }
   if (!(white > 0.0)) {
     Image<float> lit = relit.total;
     for (float& v : lit.pixels())
@@ -176,14 +181,13 @@ Status WriteRelit(const std::filesystem::path& folder, const Relit& relit, doubl
     }));
   }
   nlohmann::ordered_json json = {{"schema", 1}, {"session", session}, {"fit", fit}, {"layers", relit.provenance}};
-  std::filesystem::remove(folder / "interval.exr", error);  // of an earlier picture
   if (!relit.half_width.empty()) {
     SLX_RETURN_IF_ERROR(db::WriteExportedFile(folder / "interval.exr", [&](const fs::path& beside) {
       return WriteExr(beside, WithCoverage(relit.half_width, relit.covered), channels);
     }));
     json["interval"] = {{"half_width", RelativeHalfWidth(relit)}};
   }
-  return WriteJson(folder / "relit.json", json);
+  return db::WriteExportedFile(folder / "relit.json", [&](const fs::path& beside) { return WriteJson(beside, json); });
 }
 
 }  // namespace stratalux::fit

@@ -45,7 +45,8 @@ struct Relit {
 // subsurface, surface and total as EXR (linear) and PNG (sRGB; `white` maps to 255, 0: the 99.5th percentile of total),
 // each with alpha: 1 on the face, 0 outside (`covered`), where light is 0, so that it is straight and premultiplied;
 // relit.json: `session` and `fit` by name, where its layers come from, and how wide intervals are; where these are
-// known interval.exr, their halves. All names: RelitFiles().
+// known interval.exr, their halves. All names: RelitFiles(). relit.json is written last, and an earlier one removed
+// first: pictures that a failure has mixed have none.
 Status WriteRelit(const std::filesystem::path& folder, const Relit& relit, double white, const std::string& session,
                   const std::string& fit);
 [[nodiscard]] std::vector<std::string> RelitFiles();

@@ -168,6 +168,13 @@ TEST_F(Export, IsTheSameFromTheSameFitAndOnlyWhatIsAsked) {
   const Outcome unknown = Fit(store, To(folder_ / "no") + " --fit 0123456789abcdef");
   EXPECT_EQ(unknown.code, 4);
   EXPECT_THAT(unknown.out, HasSubstr("no fit 0123456789abcdef"));
+  // Nor does `render` take a name for a path.
+  for (const std::string& fit : {std::string("0123456789abcdef"), "../fits/" + FitOf(store).filename().string()}) {
+    const Outcome picture =
+        Fit(store, "render latest --direction=0,0,-1 --out " + (folder_ / "no").string() + " --fit " + fit);
+    EXPECT_EQ(picture.code, 4) << picture.out;
+    EXPECT_THAT(picture.out, HasSubstr("no fit " + fit));
+  }
   EXPECT_EQ(Fit(store, "export latest").code, 2) << "without a folder";
   EXPECT_FALSE(fs::exists(folder_ / "no"));
 }
@@ -368,6 +375,21 @@ TEST_F(Export, TwoAtOnceDoNotMix) {
   }
   EXPECT_EQ(FilesIn(out), before);
   EXPECT_EQ(Fit(store, To(out)).code, 0);
+}
+
+TEST_F(Export, AReportsCopyTakesTheEarlierOnesPlaceWhole) {
+  const fs::path store = Fitted("store"), out = folder_ / "report", earlier = folder_ / "earlier";
+  const std::string copy = "report latest --out " + out.string();
+  ASSERT_EQ(Fit(store, copy).code, 0);
+  const auto files = FilesIn(out);
+  fs::remove(out / "metrics.json");
+  WriteText(out / "metrics.json", "earlier");
+  fs::create_hard_link(out / "metrics.json", earlier);
+  WriteText(out / "report" / "index.html.new", "of a killed copy");
+  const Outcome again = Fit(store, copy);
+  ASSERT_EQ(again.code, 0) << again.out;
+  EXPECT_EQ(ReadText(earlier), "earlier") << "written in place";
+  EXPECT_TRUE(FilesIn(out) == files);
 }
 
 // STRATALUX_NODE_MODULES: a folder with Khronos' validator (tests/web/package.json); ctest's web.gltf has it.

@@ -4,6 +4,7 @@
 
 #include <gmock/gmock.h>
 
+#include "db/privacy/access_log.h"
 #include "db/privacy/forget.h"
 #include "tests/db/store_fixture.h"
 #include "tests/support/text_file.h"
@@ -12,6 +13,7 @@ namespace stratalux::db {
 namespace {
 
 using ::testing::ElementsAre;
+using ::testing::HasSubstr;
 namespace fs = std::filesystem;
 
 class ExportMarkerTest : public StoreTest {
@@ -149,6 +151,36 @@ TEST_F(ExportMarkerTest, SaysWhichPlacesAUnitOfSystemdDoesNotSee) {
   const std::string bound = unit + "53 51 8:1 /exports /tmp/exports rw - ext4 /dev/sda1 rw\n";
   EXPECT_EQ(HiddenBy(bound, "/tmp/exports/x"), "") << "BindPaths";
   EXPECT_EQ(HiddenBy(bound, "/tmp/pictures"), "/tmp");
+}
+
+// Else the first session's forgetting would delete the second one's files.
+TEST_F(ExportMarkerTest, AFileOfAnotherSessionsExportIsNotWrittenOver) {
+  const std::string first = StoreSession(1), second = StoreSession(1);
+  const fs::path face = folder_ / "face";
+  ASSERT_TRUE(BeginExport(folder_, "export", first, face, {"mesh.glb", "export.json"}).ok());
+  WriteText(face / "export.json", "of the first");
+  const Status refused = BeginExport(folder_, "export", second, face, {"cloud.ply", "export.json"});
+  EXPECT_EQ(refused.exit_code(), 2);
+  for (const std::string& part : {face.string(), std::string("export.json"), first, std::string("another folder")})
+    EXPECT_THAT(refused.message(), HasSubstr(part));
+  EXPECT_THAT(ExportsIn(face), ElementsAre(first));
+  EXPECT_TRUE(ListAccess(folder_, second)->empty());
+  // Other names, and its own ones again.
+  EXPECT_TRUE(BeginExport(folder_, "cloud", second, face, {"cloud.ply"}).ok());
+  EXPECT_TRUE(BeginExport(folder_, "cloud", second, face, {"cloud.ply"}).ok());
+  EXPECT_TRUE(BeginExport(folder_, "export", first, face, {"export.json"}).ok());
+  WriteText(face / "cloud.ply", "of the second");
+  EXPECT_EQ(*RemoveExport(ExportPlace(face), first), ExportState::kDeleted);
+  EXPECT_EQ(ReadText(face / "cloud.ply"), "of the second");
+  EXPECT_TRUE(BeginExport(folder_, "export", second, face, {"export.json"}).ok()) << "the first is forgotten";
+  // What one export holds of several sessions goes with whichever is forgotten first.
+  EXPECT_TRUE(BeginExport(folder_, "export", first, face, {"export.json"}, {first, second}).ok());
+}
+
+TEST_F(ExportMarkerTest, ADamagedMarkerOfAnotherSessionHindersNoExport) {
+  const std::string session = StoreSession(1);
+  WriteText(ExportMarker(out_, "s000001-0badcafe"), "{");
+  EXPECT_TRUE(BeginExport(folder_, "export", session, out_, {"a.png"}).ok());
 }
 
 }  // namespace

@@ -3,10 +3,12 @@
 
 #include <algorithm>
 #include <cmath>
+#include <csignal>
 #include <fstream>
 #include <utility>
 
 #include <gtest/gtest.h>
+#include <sys/resource.h>
 
 #include "tests/support/scratch_folder.h"
 
@@ -42,6 +44,31 @@ TEST(ExrFile, ReadsBackWhatWasWrittenBitForBit) {
   EXPECT_EQ(ReadExr(file, {"R"}).status().code(), StatusCode::kIntegrity);
   std::filesystem::remove(file);
   EXPECT_EQ(ReadExr(file, {"R"}).status().code(), StatusCode::kNotFound);
+}
+
+// As a full disk: the last bytes are written by a destructor of OpenEXR's.
+TEST(ExrFile, AFileThatIsNotWrittenWholeIsNoSuccess) {
+  Image<float> image(64, 128, 3);
+  for (size_t i = 0; i < image.size(); ++i) image.pixels()[i] = std::sin(static_cast<float>(i));
+  const ScratchFolder scratch;
+  const auto file = scratch / "image.exr";
+  ASSERT_TRUE(WriteExr(file, image, {"R", "G", "B"}).ok());
+  const auto size = static_cast<rlim_t>(std::filesystem::file_size(file));
+  rlimit before{};
+  ASSERT_EQ(getrlimit(RLIMIT_FSIZE, &before), 0);
+  const auto old_handler = std::signal(SIGXFSZ, SIG_IGN);
+  for (const rlim_t most : {rlim_t{0}, rlim_t{100}, size / 2, size - 1, size}) {
+    rlimit limit = before;
+    limit.rlim_cur = most;
+    ASSERT_EQ(setrlimit(RLIMIT_FSIZE, &limit), 0);
+    const Status status = WriteExr(file, image, {"R", "G", "B"});
+    setrlimit(RLIMIT_FSIZE, &before);
+    EXPECT_EQ(status.code(), most == size ? StatusCode::kOk : StatusCode::kFailed) << most << " of " << size;
+    if (most < size) {
+      EXPECT_NE(status.message().find(file.string()), std::string::npos) << status.message();
+    }
+  }
+  std::signal(SIGXFSZ, old_handler);
 }
 
 }  // namespace
