@@ -6,12 +6,16 @@
 #include <limits>
 
 #include "fitter/reconstruction/surface_links.h"
+#include "shared/base/formatted.h"
 #include "shared/base/parallel.h"
 
 namespace stratalux::fit {
 namespace {
 
 constexpr int64_t kRowsAtATime = 16;
+constexpr double kMargin = 1.05;         // of a lamp's frame
+constexpr double kWidestTangent = 10.0;  // from its axis to its edge: 84 degrees
+constexpr double kDimmest = 1e-3;        // of the brightest: cos^3 there, what a lamp gives a plane that it looks at
 
 struct Vertex {
   Eigen::Vector2d at;  // projector pixel
@@ -139,6 +143,59 @@ LitPlanes PlanesOf(const Image<LitSample>& blocks, int colour) {
   return planes;
 }
 
+// The quads that a lamp lights where nothing is in its way, but for those that it hardly lights.
+std::vector<Eigen::Vector3d> ReachedFrom(const SurfaceMap& surface, const Eigen::Vector3d& lamp_mm) {
+  // cos(theta) / d^2, negative where the quad faces away.
+  const auto light_at = [&](int i, int j) {
+    const Eigen::Vector3d to_lamp = lamp_mm - surface.Point(i, j);
+    return surface.mask(i, j) != 0 ? surface.Normal(i, j).dot(to_lamp) / std::pow(to_lamp.norm(), 3) : 0.0;
+  };
+  double brightest = 0.0;
+  for (int j = 0; j < surface.height(); ++j)
+    for (int i = 0; i < surface.width(); ++i) brightest = std::max(brightest, light_at(i, j));
+  std::vector<Eigen::Vector3d> reached;
+  for (int j = 0; j < surface.height(); ++j)
+    for (int i = 0; i < surface.width(); ++i)
+      if (const double light = light_at(i, j); light > 0.0 && light >= kDimmest * brightest)
+        reached.push_back(surface.Point(i, j));
+  return reached;
+}
+
+int64_t CountOutside(const ProjectorCalibration& light, const std::vector<Eigen::Vector3d>& points) {
+  return std::count_if(points.begin(), points.end(), [&](const Eigen::Vector3d& point) {
+    const auto pixel = light.ProjectFromCamera(point);
+    return !pixel || !light.model.Contains(*pixel);
+  });
+}
+
+// Axis of the narrowest cone around `directions`: through the centre of the least ball around these unit vectors, to
+// which steps of 1 / (k + 1) towards the farthest one lead (Badoiu, Clarkson: Smaller core-sets for balls, 2003).
+Eigen::Vector3d ConeAxis(const std::vector<Eigen::Vector3d>& directions) {
+  constexpr int kSteps = 200;
+  Eigen::Vector3d centre = directions.front();
+  for (int k = 1; k <= kSteps; ++k) {
+    const auto farthest = std::max_element(directions.begin(), directions.end(), [&](const auto& a, const auto& b) {
+      return (a - centre).squaredNorm() < (b - centre).squaredNorm();
+    });
+    centre += (*farthest - centre) / (k + 1.0);
+  }
+  return centre.normalized();
+}
+
+// Turns the lamp to the middle of `points`, with a frame that holds them as far as one pinhole can.
+void AimAt(ProjectorCalibration& light, const std::vector<Eigen::Vector3d>& points) {
+  const Eigen::Vector3d lamp = light.CentreInCamera();
+  std::vector<Eigen::Vector3d> directions;
+  directions.reserve(points.size());
+  for (const Eigen::Vector3d& point : points) directions.push_back((point - lamp).normalized());
+  const Eigen::Vector3d axis = ConeAxis(directions);
+  double least_cosine = 1.0;
+  for (const Eigen::Vector3d& direction : directions) least_cosine = std::min(least_cosine, axis.dot(direction));
+  const double tangent = std::sqrt(1.0 - least_cosine * least_cosine) / std::max(least_cosine, 1e-6);
+  light.camera_from_projector = LookAt(lamp, lamp + axis);
+  light.model.fx = light.model.fy = 0.5 * light.model.width / (kMargin * std::min(tangent, kWidestTangent));
+}
+
 }  // namespace
 
 LitSurface BuildLitSurface(const SurfaceMap& surface, const ProjectorCalibration& light, double exposure_ms) {
@@ -211,8 +268,8 @@ LitPyramid LightWith(const LitSurface& lit, const Pattern& pattern, double patte
   return pyramid;
 }
 
-ProjectorCalibration MakePointLight(const SurfaceMap& surface, const Eigen::Vector3d& position_mm,
-                                    const std::array<double, 3>& dn, int resolution) {
+Result<ProjectorCalibration> MakePointLight(const SurfaceMap& surface, const Eigen::Vector3d& position_mm,
+                                            const std::array<double, 3>& dn, int resolution) {
   Eigen::Vector3d centre = Eigen::Vector3d::Zero();
   int count = 0;
   for (int j = 0; j < surface.height(); ++j)
@@ -226,13 +283,21 @@ ProjectorCalibration MakePointLight(const SurfaceMap& surface, const Eigen::Vect
   for (int j = 0; j < surface.height(); ++j)
     for (int i = 0; i < surface.width(); ++i)
       if (surface.mask(i, j) != 0) radius = std::max(radius, (surface.Point(i, j) - centre).norm());
+  const std::vector<Eigen::Vector3d> reached = ReachedFrom(surface, position_mm);
   ProjectorCalibration light;
   light.name = "point light";
   light.camera_from_projector = LookAt(position_mm, centre);
   const double distance = (position_mm - centre).norm();
-  const double f = 0.5 * resolution * std::max(distance - radius, 0.3 * distance) / (1.05 * radius);
+  const double f = 0.5 * resolution * std::max(distance - radius, 0.3 * distance) / (kMargin * radius);
   light.model = {resolution, resolution, f, f, 0.5 * (resolution - 1), 0.5 * (resolution - 1), {}};
   for (int c = 0; c < 3; ++c) light.white_dn_mm2_per_ms[c] = dn[c] * distance * distance;
+  if (CountOutside(light, reached) == 0) return light;
+  AimAt(light, reached);
+  if (const int64_t dark = CountOutside(light, reached); dark > 0)
+    return Status::Usage(
+        Formatted("the light at %g,%g,%g mm stands among the face: %lld of %zu quads that face it "
+                  "would stay dark; move it away from the face",
+                  position_mm.x(), position_mm.y(), position_mm.z(), static_cast<long long>(dark), reached.size()));
   return light;
 }
 

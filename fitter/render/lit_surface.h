@@ -8,6 +8,7 @@
 
 #include "fitter/reconstruction/surface_map.h"
 #include "fitter/render/gather_kernel.h"
+#include "shared/base/result.h"
 #include "shared/capture/rig_calibration.h"
 #include "shared/pattern/pattern.h"
 
@@ -45,8 +46,10 @@ struct LitPyramid {
 [[nodiscard]] LitPyramid LightWith(const LitSurface& lit, const Pattern& pattern, double pattern_scale = 1.0);
 
 // A virtual projector that lights the whole surface from `position_mm` (camera frame) with `dn` digital numbers of a
-// white target facing it at the surface's centre. Far positions serve as directional lights.
-[[nodiscard]] ProjectorCalibration MakePointLight(const SurfaceMap& surface, const Eigen::Vector3d& position_mm,
-                                                  const std::array<double, 3>& dn, int resolution = 512);
+// white target facing it at the surface's centre. Far positions serve as directional lights. It looks at the centre;
+// from so near that this would leave skin dark that faces it, at the middle of what it lights. kUsage: that is too much
+// for one pinhole, since the surface goes round the light.
+[[nodiscard]] Result<ProjectorCalibration> MakePointLight(const SurfaceMap& surface, const Eigen::Vector3d& position_mm,
+                                                          const std::array<double, 3>& dn, int resolution = 512);
 
 }  // namespace stratalux::fit

@@ -31,7 +31,7 @@ struct Ray3 {
 };
 
 // Pose of a device at `centre_mm` whose +z axis looks at `target_mm` and whose +y axis is as close to `down` as it can
-// be.
+// be; where the axis is parallel to `down`, some turn about it.
 [[nodiscard]] Rigid3 LookAt(const Eigen::Vector3d& centre_mm, const Eigen::Vector3d& target_mm,
                             const Eigen::Vector3d& down = Eigen::Vector3d::UnitY());
 

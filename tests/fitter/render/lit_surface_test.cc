@@ -138,7 +138,9 @@ TEST(LightWith, BlursTheLineWithoutLosingLight) {
 TEST(MakePointLight, ReadsTheAskedLevelInTheMiddleAndLightsTheWholeSurface) {
   const LitScene scene = MakeScene(FaceLike(), kOblique);
   const Eigen::Vector3d lamp(120.0, -80.0, 100.0);
-  const ProjectorCalibration light = MakePointLight(scene.surface, lamp, {500.0, 900.0, 300.0});
+  const auto made = MakePointLight(scene.surface, lamp, {500.0, 900.0, 300.0});
+  ASSERT_TRUE(made.ok()) << made.status().message();
+  const ProjectorCalibration& light = *made;
   Eigen::Vector3d centre = Eigen::Vector3d::Zero();
   for (int j = 0; j < 36; ++j)
     for (int i = 0; i < 48; ++i) {
@@ -167,6 +169,51 @@ TEST(LitPyramid, KnowsTheLeastWindowOfItsLight) {
   EXPECT_EQ(pyramid.shown_lit.x1 - pyramid.shown_lit.x0 + 1, 2);
   EXPECT_EQ(pyramid.shown_lit.y0, 0);
   EXPECT_EQ(pyramid.shown_lit.y1, pyramid.shown.height() - 1);
+}
+
+// As large as a face: 190 mm wide, its nose 35 mm high.
+SurfaceMap LargeSurface(const HeightField& field) {
+  SurfaceMap surface = MakeScene(field, Eigen::Vector3d::Zero()).surface;
+  for (float& coordinate : surface.point_mm.pixels()) coordinate *= 5.0F;
+  return surface;
+}
+
+// Beside the nose it has skin before, beside and behind it, seen from where it looks at the centre.
+TEST(MakePointLight, LightsAllSkinThatFacesItFromTwentyMillimetres) {
+  const SurfaceMap surface = LargeSurface(FaceLike());
+  for (const auto& [i, j] : {std::pair(40, 18), {8, 18}, {24, 4}, {36, 30}}) {
+    const Eigen::Vector3d foot = surface.Point(i, j), lamp = foot + 20.0 * surface.Normal(i, j);
+    const auto light = MakePointLight(surface, lamp, {1.0, 1.0, 1.0});
+    ASSERT_TRUE(light.ok()) << light.status().message();
+    int seen = 0;
+    for (int y = 0; y < surface.height(); ++y)
+      for (int x = 0; x < surface.width(); ++x) {
+        const Eigen::Vector3d point = surface.Point(x, y), to_lamp = lamp - point;
+        if (surface.Normal(x, y).dot(to_lamp.normalized()) < 0.2) continue;
+        const auto pixel = light->ProjectFromCamera(point);
+        EXPECT_TRUE(pixel && light->model.Contains(*pixel)) << "lamp " << i << " " << j << ", quad " << x << " " << y;
+        ++seen;
+      }
+    EXPECT_GT(seen, 100);
+    const LitSurface lit = BuildLitSurface(surface, *light, 1.0);
+    const auto under = light->ProjectFromCamera(foot);
+    ASSERT_TRUE(under);
+    const LitSample& sample =
+        lit.samples(static_cast<int>(std::lround(under->x())), static_cast<int>(std::lround(under->y())));
+    EXPECT_GT(sample.flux[0], 0.0F);
+    EXPECT_LT((sample.point_mm.cast<double>() - foot).norm(), 2.0);
+  }
+}
+
+TEST(MakePointLight, RefusesToLeaveSkinDarkAllAroundIt) {
+  // A bowl whose rim stands higher than the lamp, 20 mm above its ground.
+  const SurfaceMap surface = LargeSurface([](double x, double y) {
+    return Height{kDistanceMm - (x * x + y * y) / 40.0, -x / 20.0, -y / 20.0};
+  });
+  const auto light = MakePointLight(surface, surface.Point(24, 18) - Eigen::Vector3d(0.0, 0.0, 20.0), {1.0, 1.0, 1.0});
+  ASSERT_FALSE(light.ok());
+  EXPECT_EQ(light.status().code(), StatusCode::kUsage);
+  EXPECT_NE(light.status().message().find("stands among the face"), std::string::npos) << light.status().message();
 }
 
 }  // namespace

@@ -120,5 +120,42 @@ TEST_F(RelightTest, StatesIntervalsWhereTheyAreKnownAndKeepsNoneOfAnotherPicture
   EXPECT_THAT(ReadText(folder_ / "relit.json"), Not(HasSubstr("interval")));
 }
 
+TEST_F(RelightTest, PicturesThatAFailureHasMixedHaveNoRecord) {
+  Relit relit = Under({0.0, 0.0, -1.0});
+  relit.half_width = relit.total;
+  // A picture in the midst of them, and the record itself, each with a folder in the way.
+  for (const char* blocked : {"surface.exr.new", "relit.json.new"}) {
+    ASSERT_TRUE(WriteRelit(folder_, relit, 0.0, "s000001", "0123456789abcdef").ok());
+    std::filesystem::create_directories(folder_ / blocked / "kept");
+    relit.half_width = {};
+    const Status failed = WriteRelit(folder_, relit, 0.0, "s000001", "fedcba9876543210");
+    EXPECT_EQ(failed.code(), StatusCode::kFailed) << blocked;
+    EXPECT_THAT(failed.message(), HasSubstr(blocked));
+    EXPECT_FALSE(std::filesystem::exists(folder_ / "relit.json")) << blocked;
+    EXPECT_FALSE(std::filesystem::exists(folder_ / "interval.exr")) << blocked << ": of the earlier pictures";
+    std::filesystem::remove_all(folder_ / blocked);
+    ASSERT_TRUE(WriteRelit(folder_, relit, 0.0, "s000001", "fedcba9876543210").ok());
+    EXPECT_THAT(ReadText(folder_ / "relit.json"), HasSubstr("fedcba9876543210"));
+    relit.half_width = relit.total;
+  }
+}
+
+// Its virtual projector looks along the axis that is "down" elsewhere.
+TEST_F(RelightTest, StraightFromAboveOrBelowIsLikeAlmostSo) {
+  scene_ = MakeScene(FaceLike(), Eigen::Vector3d::Zero(), Cfa::kRggb);
+  fit_ = FitOf(scene_);
+  for (const double y : {-1.0, 1.0}) {
+    const Relit straight = Under({0.0, y, 0.0}), almost = Under({1e-3, y, 0.0});
+    EXPECT_THAT(straight.Notes(), IsEmpty());
+    double light = 0.0, change = 0.0;
+    for (size_t k = 0; k < almost.total.size(); ++k) {
+      light += almost.total.pixels()[k];
+      change += std::abs(straight.total.pixels()[k] - almost.total.pixels()[k]);
+    }
+    EXPECT_GT(light, 0.0);
+    EXPECT_LT(change, 0.01 * light);
+  }
+}
+
 }  // namespace
 }  // namespace stratalux::fit

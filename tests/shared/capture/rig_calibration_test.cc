@@ -143,5 +143,17 @@ TEST(RigCalibration, ResponsesAndVignettingSurviveTheirJson) {
   EXPECT_EQ(rig.Validate().code(), StatusCode::kUsage);
 }
 
+TEST(LookAt, TurnsProperlyWhereItLooksAlongDown) {
+  for (const Eigen::Vector3d& down : {Eigen::Vector3d(0, 1, 0), Eigen::Vector3d(0, -2, 0), Eigen::Vector3d(3, 0, 0),
+                                      Eigen::Vector3d(0, 0, 1), Eigen::Vector3d(1, 1, 1)})
+    for (const double way : {-700.0, 700.0}) {
+      const Eigen::Vector3d centre(10, -20, 30), target = centre + way * down.normalized();
+      const Eigen::Matrix3d rotation = LookAt(centre, target, down).rotation.toRotationMatrix();
+      EXPECT_LT((rotation * rotation.transpose() - Eigen::Matrix3d::Identity()).norm(), 1e-12) << down.transpose();
+      EXPECT_NEAR(rotation.determinant(), 1.0, 1e-12) << down.transpose();
+      EXPECT_LT((rotation.col(2) - (target - centre).normalized()).norm(), 1e-12) << down.transpose();
+    }
+}
+
 }  // namespace
 }  // namespace stratalux
