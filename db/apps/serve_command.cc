@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// `stratalux-db serve`: the store as pages of a browser, until SIGINT or SIGTERM.
+// `stratalux-db serve`: the store as pages of a browser, until SIGINT, SIGTERM or SIGHUP.
 #include <csignal>
 #include <cstdlib>
 #include <filesystem>
@@ -30,13 +30,16 @@ struct ServeFlags {
   bool no_open = false;
 };
 
-// Ctrl-C and the system's stop, taken by the main thread alone: blocked before others begin.
+// Ctrl-C, the system's stop and the end of the terminal, taken by the main thread alone: blocked before others begin.
 class StopSignals {
  public:
   StopSignals() {
     sigemptyset(&signals_);
     sigaddset(&signals_, SIGINT);
     sigaddset(&signals_, SIGTERM);
+    struct sigaction hang_up {};
+    sigaction(SIGHUP, nullptr, &hang_up);
+    if (hang_up.sa_handler != SIG_IGN) sigaddset(&signals_, SIGHUP);  // nohup; blocked, it would come all the same
     pthread_sigmask(SIG_BLOCK, &signals_, nullptr);
     std::signal(SIGPIPE, SIG_IGN);
   }

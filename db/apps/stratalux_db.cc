@@ -6,6 +6,7 @@
 
 #include "db/apps/command.h"
 #include "db/apps/display_text.h"
+#include "shared/base/finite_options.h"
 #include "shared/base/mistyped_command.h"
 #include "shared/base/version.h"
 #include "shared/manual/manual.h"
@@ -47,6 +48,7 @@ int Main(int argc, char** argv) {
   AddKeyCommand(commands);
   AddForgetCommands(commands);
   AddServeCommand(commands);
+  RangesTakeFiniteNumbers(app);
   if (const auto manual = AskedManual(app, "stratalux-db", argc, argv)) return PrintBytes(*manual);
   if (const std::string mistyped = MistypedCommand(app, argc, argv); !mistyped.empty())
     return Report(Status::Usage(mistyped));

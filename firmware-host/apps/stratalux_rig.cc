@@ -30,6 +30,7 @@
 #include "firmware-host/session/learnt_deadlines.h"
 #include "firmware-host/session/open_rig.h"
 #include "firmware-host/simulated/simulation_file.h"
+#include "shared/base/finite_options.h"
 #include "shared/base/mistyped_command.h"
 #include "shared/base/printable.h"
 #include "shared/base/standard_output.h"
@@ -440,6 +441,7 @@ int Main(int argc, char** argv) {
       "safe", "Switch every light off: ENABLE lines off, displays black; a unit's ExecStopPost runs it");
   safe->footer(kSafeExamples);
   safe->add_option("--config", flags.config, "TOML file (default: " + std::string(kSystemConfig) + ")");
+  RangesTakeFiniteNumbers(app);
   if (const auto manual = AskedManual(app, "stratalux-rig", argc, argv)) return Print(*manual);
   if (const std::string mistyped = MistypedCommand(app, argc, argv); !mistyped.empty())
     return Report(Status::Usage(mistyped));

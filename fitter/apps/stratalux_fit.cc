@@ -8,6 +8,7 @@
 
 #include "fitter/apps/run_command.h"
 #include "fitter/pipeline/interruption.h"
+#include "shared/base/finite_options.h"
 #include "shared/base/mistyped_command.h"
 #include "shared/base/printable.h"
 #include "shared/base/standard_output.h"
@@ -40,6 +41,7 @@ int main(int argc, char** argv) {
   stratalux::fit::AddRenderCommand(app, exit_code);
   stratalux::fit::AddExportCommand(app, exit_code);
   stratalux::fit::AddProfilesCommand(app, exit_code);
+  stratalux::RangesTakeFiniteNumbers(app);
   if (const auto manual = stratalux::AskedManual(app, "stratalux-fit", argc, argv)) {
     const stratalux::Status written = stratalux::WriteStdout(*manual);
     if (!written.ok()) std::fprintf(stderr, "stratalux-fit: %s\n", written.message().c_str());

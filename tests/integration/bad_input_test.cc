@@ -36,7 +36,7 @@ TEST_F(WrongFlags, AreUsageErrorsOfAllPrograms) {
 }
 
 TEST_F(WrongFlags, NumbersThatAreNone) {
-  const std::array<std::array<const char*, 3>, 19> cases = {{
+  const std::array<std::array<const char*, 3>, 26> cases = {{
       {"stratalux-db frames s000001 --projector one", "--projector", "one"},
       {"stratalux-db frames s000001 --phase party", "party", "preroll, reference"},
       {"stratalux-rig capture --simulate --seed one", "--seed", "one"},
@@ -56,6 +56,14 @@ TEST_F(WrongFlags, NumbersThatAreNone) {
       {"stratalux-fit run s000001 --background maybe", "--background", "maybe"},
       {"stratalux-fit run s000001 --pool 0", "--pool", "0"},
       {"stratalux-fit run s000001 --shift odd", "'odd'", "paper, refracted"},
+      {"stratalux-fit clean --keep-days nan", "--keep-days", "'nan' is not a finite number"},
+      {"stratalux-fit clean --keep-days=-nan", "--keep-days", "'-nan' is not a finite number"},
+      {"stratalux-fit clean --keep-days inf", "--keep-days", "inf"},
+      {"stratalux-fit render s000001 --direction=0,0,-1 --out none --white nan", "--white",
+       "'nan' is not a finite number"},
+      {"stratalux-fit calibrate --valid-days nan", "--valid-days", "'nan' is not a finite number"},
+      {"stratalux-fit calibrate --square-mm NaN", "--square-mm", "'NaN' is not a finite number"},
+      {"stratalux-fit batch run --memory nan", "--memory", "'nan' is not a finite number"},
   }};
   for (const auto& [command, place, value] : cases) ExpectRefused(command, 2, {place, value});
   ExpectUnharmed();

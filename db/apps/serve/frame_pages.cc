@@ -25,7 +25,7 @@ constexpr int kPicturePx = 1024;
 Result<int64_t> NumberOf(const std::string& text) {
   int64_t number = 0;
   const auto end = std::from_chars(text.data(), text.data() + text.size(), number);
-  if (text.empty() || end.ptr != text.data() + text.size() || number < 0)
+  if (end.ec != std::errc() || end.ptr != text.data() + text.size() || number < 0)
     return Status::Usage("'" + text + "' is not a frame number");
   return number;
 }

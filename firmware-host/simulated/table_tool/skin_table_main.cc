@@ -18,6 +18,7 @@
 #include "firmware-host/simulated/skin/subcutis_table_check.h"
 #include "firmware-host/simulated/table_tool/line_spread.h"
 #include "firmware-host/simulated/table_tool/people.h"
+#include "shared/base/finite_options.h"
 #include "shared/base/formatted.h"
 #include "shared/base/version.h"
 #include "shared/manual/manual.h"
@@ -365,6 +366,7 @@ int Main(int argc, char** argv) {
   population->add_flag("--fit", people.fit,
                        "Fit the population to these people first, and print its numbers on stderr");
   population->add_option("--table", people.table, "Table file (default: the shipped one)");
+  RangesTakeFiniteNumbers(app);
   if (const auto manual = AskedManual(app, "stratalux-skin-table", argc, argv)) {
     std::cout << *manual << std::flush;
     return std::cout ? 0 : 1;

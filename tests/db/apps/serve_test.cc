@@ -370,6 +370,7 @@ class ServeCommand : public StoreTest {
     pid_ = fork();
     if (pid_ == 0) {
       dup2(ends[1], 1);
+      std::signal(SIGHUP, hang_up_);
       std::vector<char*> arguments;
       for (std::string& word : words) arguments.push_back(word.data());
       arguments.push_back(nullptr);
@@ -384,8 +385,34 @@ class ServeCommand : public StoreTest {
     close(ends[0]);
     return nlohmann::json::parse(text, nullptr, false);
   }
+  // On a terminal with a desktop, whose browser has been given a page: `desktop` holds its `page` and `arguments`, and
+  // `runtime` is where the program may write. The terminal's other end; -1: no page came.
+  [[nodiscard]] int StartOnTerminal(const std::filesystem::path& desktop, const std::filesystem::path& runtime) {
+    std::filesystem::create_directories(runtime);
+    WriteText(desktop / "xdg-open", "#!/bin/sh\nset -e\nprintf '%s' \"$*\" > '" + (desktop / "arguments").string() +
+                                        "'\ncp -p \"$1\" '" + (desktop / "page.part").string() + "'\nmv '" +
+                                        (desktop / "page.part").string() + "' '" + (desktop / "page").string() + "'\n");
+    std::filesystem::permissions(desktop / "xdg-open", std::filesystem::perms::owner_all);
+    int terminal = -1;
+    pid_ = forkpty(&terminal, nullptr, nullptr, nullptr);
+    if (pid_ == 0) {
+      std::signal(SIGHUP, SIG_DFL);  // the tests may run under nohup
+      setenv("PATH", (desktop.string() + ":" + std::getenv("PATH")).c_str(), 1);
+      setenv("XDG_RUNTIME_DIR", runtime.c_str(), 1);
+      setenv("DISPLAY", ":77", 1);
+      alarm(60);
+      const std::string program = std::string(STRATALUX_BIN_DIR) + "/stratalux-db", store = folder_.string();
+      execl(program.c_str(), program.c_str(), "serve", "--store", store.c_str(), static_cast<char*>(nullptr));
+      _exit(127);
+    }
+    for (int tries = 0; pid_ > 0 && tries < 3000 && !std::filesystem::exists(desktop / "page"); ++tries) usleep(10'000);
+    return std::filesystem::exists(desktop / "page") ? terminal : -1;
+  }
   int End(int signal) {
     kill(pid_, signal);
+    return Wait();
+  }
+  [[nodiscard]] int Wait() const {
     int status = 0;
     waitpid(pid_, &status, 0);
     return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
@@ -394,11 +421,12 @@ class ServeCommand : public StoreTest {
     return Execute("stratalux-db serve --no-open --store " + folder_.string() + " " + arguments);
   }
   pid_t pid_ = -1;
+  void (*hang_up_)(int) = SIG_DFL;  // SIG_IGN: under nohup
 };
 
 TEST_F(ServeCommand, ItsLinkOpensItOnceAndASignalEndsIt) {
   const std::string id = StoreSession(1);
-  for (const int signal : {SIGTERM, SIGINT}) {
+  for (const int signal : {SIGTERM, SIGINT, SIGHUP}) {
     const auto told = Start();
     ASSERT_TRUE(told.is_object());
     const int port = told["port"];
@@ -420,25 +448,8 @@ TEST_F(ServeCommand, ItsLinkOpensItOnceAndASignalEndsIt) {
 TEST_F(ServeCommand, TheBrowserIsGivenThePageOfAnOwnerAndNotTheLink) {
   (void)StoreSession(1);
   const std::filesystem::path fake = folder_ / "desktop", runtime = fake / "runtime";
-  std::filesystem::create_directories(runtime);
-  WriteText(fake / "xdg-open", "#!/bin/sh\nset -e\nprintf '%s' \"$*\" > '" + (fake / "arguments").string() +
-                                   "'\ncp -p \"$1\" '" + (fake / "page.part").string() + "'\nmv '" +
-                                   (fake / "page.part").string() + "' '" + (fake / "page").string() + "'\n");
-  std::filesystem::permissions(fake / "xdg-open", std::filesystem::perms::owner_all);
-  int terminal = -1;
-  pid_ = forkpty(&terminal, nullptr, nullptr, nullptr);
-  if (pid_ == 0) {
-    setenv("PATH", (fake.string() + ":" + std::getenv("PATH")).c_str(), 1);
-    setenv("XDG_RUNTIME_DIR", runtime.c_str(), 1);
-    setenv("DISPLAY", ":77", 1);
-    alarm(60);
-    const std::string program = std::string(STRATALUX_BIN_DIR) + "/stratalux-db", store = folder_.string();
-    execl(program.c_str(), program.c_str(), "serve", "--store", store.c_str(), static_cast<char*>(nullptr));
-    _exit(127);
-  }
-  ASSERT_GT(pid_, 0);
-  for (int tries = 0; tries < 3000 && !std::filesystem::exists(fake / "page"); ++tries) usleep(10'000);
-  ASSERT_TRUE(std::filesystem::exists(fake / "page"));
+  const int terminal = StartOnTerminal(fake, runtime);
+  ASSERT_GE(terminal, 0);
   const std::string arguments = *ReadFile(fake / "arguments"), page = *ReadFile(fake / "page");
   EXPECT_THAT(arguments, Not(HasSubstr("token")));
   EXPECT_TRUE(std::filesystem::path(arguments).parent_path() == runtime) << arguments;
@@ -502,6 +513,38 @@ TEST_F(ServeCommand, WrongUseIsRefused) {
   EXPECT_EQ(Serve("--port 70000").code, 2);
   EXPECT_EQ(Serve("--address 127.0.0.x --token-file /none").code, 2);
   EXPECT_EQ(Execute("stratalux-db serve --no-open --store " + (folder_ / "none").string()).code, 4);
+}
+
+TEST_F(ServeCommand, AClosedTerminalEndsItAndItsPage) {
+  (void)StoreSession(1);
+  const std::filesystem::path fake = folder_ / "desktop", runtime = fake / "runtime";
+  const int terminal = StartOnTerminal(fake, runtime);
+  ASSERT_GE(terminal, 0);
+  EXPECT_FALSE(std::filesystem::is_empty(runtime));
+  close(terminal);
+  EXPECT_EQ(Wait(), 0);
+  EXPECT_TRUE(std::filesystem::is_empty(runtime)) << "the page outlives the program";
+}
+
+TEST_F(ServeCommand, UnderNohupAHangUpDoesNotEndIt) {
+  (void)StoreSession(1);
+  hang_up_ = SIG_IGN;
+  const auto told = Start();
+  ASSERT_TRUE(told.is_object());
+  kill(pid_, SIGHUP);
+  usleep(200'000);
+  EXPECT_EQ(http::Get(told["port"], "/sessions").status, 401) << "it goes on";
+  EXPECT_EQ(End(SIGTERM), 0);
+}
+
+TEST_F(ServePages, AFrameNumberThatNoNumberHoldsIsRefused) {
+  const std::string id = StoreSession(1);
+  for (const std::string number : {"9223372036854775808", "99999999999999999999999", "-1", "0x1", "1a"}) {
+    EXPECT_EQ(Get("/sessions/" + id + "/frames/" + number).status, 400) << number;
+    EXPECT_EQ(Get("/pictures/" + id + "/" + number).status, 400) << number;
+    EXPECT_EQ(Get("/sessions/" + id + "/frames?from=" + number).status, 400) << number;
+  }
+  EXPECT_EQ(Get("/sessions/" + id + "/frames/9223372036854775807").status, 404);
 }
 
 }  // namespace
