@@ -39,6 +39,8 @@ constexpr auto kKeepAlive = 2s;
 constexpr auto kStoreFor = 5s;   // what the store said is good
 constexpr auto kBatchFor = 60s;  // what systemd said of it
 constexpr int kSessions = 20;
+// For two operators' browsers, each of which asks for five pictures and the figures at once.
+constexpr int kSlowAnswers = 12;
 
 Response Empty(int status) {
   Response response;
@@ -123,7 +125,7 @@ struct KioskPage::Impl {
   Response Ticket();
   Response Order(const Request& request);
   Response Withdraw(const Request& request);
-  Response PictureOf(const Request& request);
+  Response PictureOf(const std::string& session, const std::string& peer);
   // What takes the store from a visitor's capture waits until there is none.
   [[nodiscard]] bool NobodyIsServed();
   Response OperatorFigures();
@@ -172,13 +174,20 @@ void KioskPage::Impl::AddVisitor(http::Router& router) {
   router.Add(Method::kGet, "/ticket.svg", [this](const Request&) { return Ticket(); });
 }
 
+// What asks the store or systemctl may take seconds: beside the server's threads, which have visitors' presses to
+// answer.
 void KioskPage::Impl::AddOperator(http::Router& router) {
   const auto keepers = http::Audience::kKeepers;
   router.Add(
-      Method::kGet, "/operator/status", [this](const Request&) { return OperatorFigures(); }, keepers);
+      Method::kGet, "/operator/status",
+      [this](const Request&) { return Response::Later([this] { return OperatorFigures(); }); }, keepers);
   router.Add(
       Method::kGet, "/operator/sessions/{session}/picture.jpg",
-      [this](const Request& request) { return PictureOf(request); }, keepers);
+      [this](const Request& request) {
+        return Response::Later(
+            [this, session = request.Wildcard("session"), peer = request.peer] { return PictureOf(session, peer); });
+      },
+      keepers);
   router.Add(
       Method::kPost, "/operator/withdraw", [this](const Request& request) { return Withdraw(request); }, keepers);
   router.Add(
@@ -263,10 +272,10 @@ bool KioskPage::Impl::NobodyIsServed() {
   return screen == Phase::kIdle || screen == Phase::kClosed || screen == Phase::kSafe;
 }
 
-Response KioskPage::Impl::PictureOf(const Request& request) {
+Response KioskPage::Impl::PictureOf(const std::string& session, const std::string& peer) {
   if (options.store.empty()) return Response::Text(404, "this kiosk shows no store");
   if (!NobodyIsServed()) return Response::Text(409, "a visit is under way; pictures are shown when it is over");
-  const auto picture = SessionPicture(options.store, request.Wildcard("session"), request.peer, disclosures);
+  const auto picture = SessionPicture(options.store, session, peer, disclosures);
   if (picture.ok()) return Response::Of("image/jpeg", *picture);
   const StatusCode code = picture.status().code();
   return Response::Text(code == StatusCode::kUsage      ? 403
@@ -400,6 +409,7 @@ Result<std::unique_ptr<KioskPage>> KioskPage::Start(const KioskPageOptions& give
   server.address = options.address;
   server.port = options.port;
   server.limits.keep_alive = kKeepAlive;
+  server.limits.slow_answers = kSlowAnswers;
   server.threads = 2;  // a forgetting that takes long keeps no screen waiting
   server.access = {.token = options.token, .link_use = http::LinkUse::kAlways, .host_names = options.host_names};
   server.access.keeper_token = options.operator_token;

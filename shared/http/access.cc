@@ -48,6 +48,14 @@ bool IsAddress(const std::string& host) {
   return bracketed && inet_pton(AF_INET6, host.substr(1, host.size() - 2).c_str(), bytes.data()) == 1;
 }
 
+bool Reads(const Request& request) { return request.method == Method::kGet || request.method == Method::kHead; }
+
+// Of a keeper's session (access.h).
+BrowserSessions::Counts CountsFor(const Request& request, Audience audience) {
+  const bool by_hand = !Reads(request) || !request.Header("stratalux-touched").empty();
+  return audience == Audience::kKeepers && by_hand ? BrowserSessions::Counts::kAsUse : BrowserSessions::Counts::kNot;
+}
+
 std::string WithoutToken(const Request& request) {
   std::string place, separator = "?";
   for (size_t at = 0; at < request.path.size(); ++at)
@@ -129,7 +137,7 @@ std::optional<Response> AccessGuard::CheckHost(const Request& request) const {
 }
 
 std::optional<Response> AccessGuard::CheckOrigin(const Request& request) const {
-  if (request.method == Method::kGet || request.method == Method::kHead) return std::nullopt;
+  if (Reads(request)) return std::nullopt;
   if (HasBearer(request, Audience::kHoldersOfToken)) return std::nullopt;
   const std::string origin = request.Header("origin"), site = request.Header("sec-fetch-site");
   const std::string host = Lower(request.Header("host"));
@@ -200,14 +208,13 @@ std::optional<Response> AccessGuard::CheckToken(const Request& request, Audience
   if (audience == Audience::kEverybody) return std::nullopt;
   if (audience == Audience::kHoldersOfToken && options_.token.empty()) return std::nullopt;
   const auto given = request.query.find("token");
-  if (keepers_.Has(request)) return std::nullopt;
-  if (audience == Audience::kHoldersOfToken && visitors_.Has(request))
+  if (keepers_.Has(request, CountsFor(request, audience))) return std::nullopt;
+  if (audience == Audience::kHoldersOfToken && visitors_.Has(request, BrowserSessions::Counts::kAsUse))
     return given == request.query.end() ? std::nullopt : std::optional(Response::SeeOther(WithoutToken(request)));
   const bool tries = given != request.query.end() || request.headers.count("authorization") != 0;
   if (tries && TooManyWrong(request.peer)) return Response::Text(429, "too many wrong tokens; wait a minute");
   if (HasBearer(request, audience)) return std::nullopt;
-  const bool reads = request.method == Method::kGet || request.method == Method::kHead;
-  if (audience == Audience::kHoldersOfToken && reads && given != request.query.end() &&
+  if (audience == Audience::kHoldersOfToken && Reads(request) && given != request.query.end() &&
       SameSecret(given->second, options_.token)) {
     // Programs that look at links before people do (HEAD) must not use them up.
     if (request.method == Method::kHead) return Response::SeeOther(WithoutToken(request));

@@ -44,7 +44,10 @@ struct AccessOptions {
   // Where a keeper's browser gets its session: POST there with the keepers' token as bearer, DELETE ends it. Empty:
   // nowhere.
   std::string sign_in = {};
-  std::chrono::minutes keeper_idle{30};  // after which a keeper's session ends
+  // After which without a use a keeper's session ends. Uses are requests for what is the keepers' alone: orders (all
+  // but GET and HEAD), and others with the header `Stratalux-Touched`, which a page sends after a key or a pointer was
+  // pressed. What a page asks by itself is none, nor is what a visitor presses in the same browser.
+  std::chrono::minutes keeper_idle{30};
   std::function<std::chrono::steady_clock::time_point()> now = std::chrono::steady_clock::now;
 };
 

@@ -25,7 +25,7 @@ std::string Cookie(const std::string& header, const std::string& name) {
 
 }  // namespace
 
-bool BrowserSessions::Has(const Request& request) {
+bool BrowserSessions::Has(const Request& request, Counts counts) {
   const std::string given = Cookie(request.Header("cookie"), cookie_);
   if (given.empty()) return false;
   const std::lock_guard lock(mutex_);
@@ -34,7 +34,7 @@ bool BrowserSessions::Has(const Request& request) {
   Session* known = nullptr;
   for (Session& session : sessions_)
     if (SameSecret(given, session.secret)) known = &session;
-  if (known != nullptr) known->used = now;
+  if (known != nullptr && counts == Counts::kAsUse) known->used = now;
   return known != nullptr;
 }
 

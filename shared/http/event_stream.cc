@@ -76,10 +76,11 @@ int64_t EventStream::Add(const std::string& last_event_id, std::function<void()>
   int64_t seen = -1;
   std::from_chars(last_event_id.data(), last_event_id.data() + last_event_id.size(), seen);
   Viewer viewer{std::move(wake), "retry: 2000\n\n"};
-  // A number from another run of the program says nothing: then the last event, as for somebody new.
-  const bool known = seen >= 0 && seen < next_event_;
+  // A number that is not yet given is from another run of the program: then the last event alone, as for somebody new.
+  const int64_t last = next_event_ - 1;
+  const bool known = seen >= 0 && seen <= last;
   for (const auto& [id, text] : kept_)
-    if (known ? id > seen : id == next_event_ - 1) viewer.waiting += text;
+    if (id == last || (known && id > seen)) viewer.waiting += text;
   viewers_.emplace(next_viewer_, std::move(viewer));
   return next_viewer_++;
 }

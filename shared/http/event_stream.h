@@ -19,8 +19,10 @@ struct EventStreamOptions {
   size_t viewer_bytes = 64 << 10;  // waiting for one viewer; one who is slower than that is dropped
 };
 
-// Thread-safe. Events are numbered from 1. A viewer who is new gets the last event, so that a page shows how things
-// stand; one who comes back with Last-Event-ID gets what came after it, as far as it is kept.
+// Thread-safe. Events are numbered from 1 in each run. Whoever comes gets the last event, so that a page shows how
+// things stand; one who comes back with Last-Event-ID also gets what came between, as far as it is kept. The last one
+// comes even where it is the one seen: it tells the page that the program is there again, and a number equal to it may
+// be another run's.
 class EventStream {
  public:
   explicit EventStream(EventStreamOptions options = {}) : options_(options) {}

@@ -596,6 +596,34 @@ class Page(unittest.TestCase):
         self.until("document.getElementById('door').checkVisibility()", "stays out")
         browser.complaints(self.browser)
 
+    def test_what_the_operators_page_asks_by_itself_holds_no_session(self):
+        self.capture_a_session()
+        self.enter_as_operator()
+        self.until("document.querySelector('#sessions img')", "a picture's place")
+        self.browser.execute_script("""
+            const asked = window.asked = [], real = window.fetch;
+            window.fetch = (place, options) => {
+                if (place === '/operator/status') asked.push('Stratalux-Touched' in (options.headers ?? {}));
+                return window.busy ? Promise.resolve(new Response('', {status: 503})) : real(place, options);
+            };""")
+        self.until("window.asked.length >= 1", "asks")  # it may tell of the sign-in
+        self.browser.execute_script("window.asked.length = 0")
+        self.until("window.asked.length >= 2", "asks again")
+        self.assertNotIn(True, self.browser.execute_script("return window.asked"), "nobody was there")
+        self.click("#inside h2")
+        self.until("window.asked.includes(true)", "a click is told")
+        # Busy is not signed out.
+        self.browser.execute_script("window.busy = true; window.asked.length = 0")
+        self.until("window.asked.length >= 2", "asks again")
+        self.assertTrue(self.browser.find_element("id", "inside").is_displayed())
+        self.browser.execute_script("window.busy = false")
+        # As when the half hour is over.
+        self.browser.delete_all_cookies()
+        self.until("document.getElementById('door').checkVisibility()", "signs in again")
+        self.assertFalse(self.browser.find_element("id", "inside").is_displayed())
+        self.assertEqual([], self.browser.find_elements("css selector", "#sessions img"))
+        browser.complaints(self.browser)
+
 
 def main():
     global OPTIONS

@@ -6,7 +6,7 @@ import {draw, figureText, linesOf} from './trend.js';
 const kStatusMs = 3000;
 const byId = id => document.getElementById(id);
 
-let words = null, state = null, status = null, inside = false, sure = '', language = '';
+let words = null, state = null, status = null, inside = false, touched = false, sure = '', language = '';
 
 const make = (tag, text, more = {}) => Object.assign(document.createElement(tag), {textContent: text, ...more});
 const say = text => { byId('answer').textContent = text; };
@@ -166,12 +166,23 @@ function showDoor() {
   byId('leave').hidden = !inside;
 }
 
+// Nothing of the sessions stays behind the door.
+function forgetPictures() {
+  pictures.clear();
+  byId('sessions').replaceChildren();
+}
+
 async function ask() {
   if (document.hidden) return;
-  const answer = await fetch('/operator/status', {cache: 'no-store', signal: AbortSignal.timeout(kStatusMs)}).catch(() => null);
-  if (!answer) return;
+  // What this page asks by itself is no use of the operator's session: a key or a pointer that was pressed since is.
+  const headers = touched ? {'Stratalux-Touched': '1'} : {};
+  touched = false;
+  const answer = await fetch('/operator/status', {headers, cache: 'no-store', signal: AbortSignal.timeout(kStatusMs)}).catch(() => null);
+  // Who is busy has signed nobody out.
+  if (!answer || answer.status === 503) return;
   const was = inside;
   inside = answer.ok;
+  if (was && !inside) forgetPictures();
   if (answer.ok) status = await answer.json();
   if (!words) return;
   if (was !== inside || byId('door').hidden === byId('inside').hidden) showDoor();
@@ -189,8 +200,7 @@ async function enter(event) {
 }
 
 async function leave() {
-  pictures.clear();
-  byId('sessions').replaceChildren();
+  forgetPictures();
   await fetch('/operator/session', {method: 'DELETE'}).catch(() => null);
   await ask();
   byId('token').focus();
@@ -243,6 +253,8 @@ async function begin() {
   setInterval(ask, kStatusMs);
 }
 
+for (const input of ['keydown', 'pointerdown', 'wheel'])
+  addEventListener(input, () => { touched = true; }, {capture: true, passive: true});
 byId('door').addEventListener('submit', enter);
 byId('leave').addEventListener('click', leave);
 byId('figure').addEventListener('change', showSelfchecks);

@@ -2,6 +2,9 @@
 // The page over loopback, over the real machine in a scripted world.
 #include "firmware-host/kiosk/kiosk_page.h"
 
+#include <atomic>
+#include <chrono>
+#include <memory>
 #include <thread>
 
 #include <gmock/gmock.h>
@@ -393,6 +396,65 @@ TEST_F(KioskPageTest, AThousandConnectionsAreBoundedAndThePageAnswersAfterwards)
     std::this_thread::sleep_for(std::chrono::milliseconds(100));
   }
   EXPECT_EQ(status, 200);
+}
+
+// A wire that was loose for a second while the screen stood still, or another run of the program whose numbers are the
+// same: the page has to hear that all is well.
+TEST_F(KioskPageTest, WhoComesBackIsToldHowThingsStandWhateverItSawLast) {
+  const Json now = State();
+  ASSERT_EQ(now["screen"], "idle");
+  for (int last = 1; last <= 8; ++last) EXPECT_EQ(State({{"Last-Event-ID", std::to_string(last)}}), now) << last;
+}
+
+// The page's clock, which holds the operator's figures up.
+class HeldFigures {
+ public:
+  WallNs Ask() {
+    if (!holds_) return WallNow();
+    ++begun_;
+    while (!released_) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    return WallNow();
+  }
+  void HoldNewOnes() { holds_ = true; }
+  void LetNewOnesPass() { holds_ = false; }
+  void Release() { released_ = true; }
+  [[nodiscard]] bool Begun(int count, std::chrono::milliseconds patience) const {
+    const auto end = std::chrono::steady_clock::now() + patience;
+    while (begun_ < count && std::chrono::steady_clock::now() < end)
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    return begun_ >= count;
+  }
+
+ private:
+  std::atomic<bool> holds_ = false, released_ = false;
+  std::atomic<int> begun_ = 0;
+};
+
+TEST_F(KioskPageTest, AVisitorsStopIsAnsweredWhileTheOperatorsFiguresAreNot) {
+  const auto figures = std::make_shared<HeldFigures>();
+  KioskPageOptions options;
+  options.wall = [figures] { return figures->Ask(); };
+  Restart(options);
+  SitDown();
+  const Json seen = State();
+  const auto ask = [this](http::Client& client, const std::string& place) {
+    client.Send("GET " + place + " HTTP/1.1\r\nHost: 127.0.0.1:" + std::to_string(port_) +
+                "\r\nAuthorization: " + keeper_.at("Authorization") + "\r\nConnection: close\r\n\r\n");
+  };
+  figures->HoldNewOnes();
+  http::Client one(port_), two(port_), picture(port_, http::Client::Family::kV4, 1);
+  ask(one, "/operator/status");
+  EXPECT_TRUE(figures->Begun(1, std::chrono::seconds(20)));
+  ask(two, "/operator/status");
+  EXPECT_FALSE(figures->Begun(2, std::chrono::milliseconds(300))) << "one after another";
+  ask(picture, "/operator/sessions/s000001-00000000/picture.jpg");
+  figures->LetNewOnesPass();  // the machine asks for the time, too
+  EXPECT_EQ(Press("leave", seen), 204);
+  EXPECT_EQ(phase(), Phase::kIdle);
+  EXPECT_EQ(picture.ReadUntil("HTTP/"), "") << "pictures wait where figures do";
+  figures->Release();
+  EXPECT_EQ(http::ParseAnswer(one.ReadAll()).status, 200);
+  EXPECT_EQ(http::ParseAnswer(two.ReadAll()).status, 200);
 }
 
 }  // namespace

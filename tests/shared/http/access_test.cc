@@ -176,8 +176,10 @@ TEST(AccessGuard, AKeepersSessionBeginsAndEndsWhereOneSignsIn) {
   Request asks = Asked(Method::kGet, {{"cookie", cookie.substr(0, cookie.find(';'))}, {"host", "localhost:8123"}});
   EXPECT_EQ(TokenStatus(guard, asks, Audience::kKeepers), 200);
   // Each use holds it for another half hour.
+  Request orders = asks;
+  orders.method = Method::kPost;
   now += std::chrono::minutes(29);
-  EXPECT_EQ(TokenStatus(guard, asks, Audience::kKeepers), 200);
+  EXPECT_EQ(TokenStatus(guard, orders, Audience::kKeepers), 200);
   now += std::chrono::minutes(29);
   EXPECT_EQ(TokenStatus(guard, asks, Audience::kKeepers), 200);
   Request ends = asks;
@@ -206,6 +208,61 @@ TEST(AccessGuard, MakesThoseWaitWhoGuessTheKeepersToken) {
   AccessGuard guard(options, kPort);
   for (int i = 0; i < 2; ++i) EXPECT_EQ(StatusOf(guard.CheckSignIn(SigningIn(Method::kPost, "wrong"))), 401);
   EXPECT_EQ(StatusOf(guard.CheckSignIn(SigningIn(Method::kPost, kKeeperToken))), 429);
+}
+
+// A keeper's browser whose page asks every three seconds.
+class KeepersPage : public ::testing::Test {
+ protected:
+  KeepersPage() : guard_(Options(), kPort) {
+    const std::string cookie = HeaderOf(*guard_.CheckSignIn(SigningIn(Method::kPost, kKeeperToken)), "Set-Cookie");
+    session_ = {{"cookie", cookie.substr(0, cookie.find(';'))}};
+  }
+  AccessOptions Options() {
+    AccessOptions options{.token = kToken, .keeper_token = kKeeperToken, .sign_in = "/operator/session"};
+    options.now = [this] { return now_; };
+    return options;
+  }
+  [[nodiscard]] int Ask(Method method, Audience audience, const std::string& touched = "") {
+    Request request = Asked(method, session_);
+    if (!touched.empty()) request.headers["stratalux-touched"] = touched;
+    return TokenStatus(guard_, request, audience);
+  }
+  // The last answer to what the page asks by itself: the keepers' figures, and whether the program is there.
+  [[nodiscard]] int PollFor(std::chrono::minutes time) {
+    int status = 0;
+    for (const auto end = now_ + time; now_ < end; now_ += std::chrono::seconds(3)) {
+      (void)Ask(Method::kGet, Audience::kHoldersOfToken);
+      (void)Ask(Method::kHead, Audience::kKeepers);
+      status = Ask(Method::kGet, Audience::kKeepers);
+    }
+    return status;
+  }
+
+  std::chrono::steady_clock::time_point now_ = std::chrono::steady_clock::time_point() + std::chrono::hours(1);
+  AccessGuard guard_;
+  std::map<std::string, std::string> session_;
+};
+
+TEST_F(KeepersPage, ThatAsksByItselfHoldsNoSession) {
+  EXPECT_EQ(PollFor(std::chrono::minutes(29)), 200);
+  EXPECT_EQ(PollFor(std::chrono::minutes(2)), 401);
+  EXPECT_EQ(Ask(Method::kPost, Audience::kKeepers), 401) << "what is over stays over";
+}
+
+TEST_F(KeepersPage, HoldsItsSessionByOrdersAndByWhatIsTouched) {
+  EXPECT_EQ(PollFor(std::chrono::minutes(29)), 200);
+  EXPECT_EQ(Ask(Method::kPost, Audience::kKeepers), 200);
+  EXPECT_EQ(PollFor(std::chrono::minutes(29)), 200);
+  EXPECT_EQ(Ask(Method::kGet, Audience::kKeepers, "1"), 200);
+  EXPECT_EQ(PollFor(std::chrono::minutes(29)), 200);
+  EXPECT_EQ(PollFor(std::chrono::minutes(2)), 401);
+}
+
+// The display on which an operator signed in, and which visitors press since.
+TEST_F(KeepersPage, IsNotHeldByVisitorsInTheSameBrowser) {
+  EXPECT_EQ(PollFor(std::chrono::minutes(29)), 200);
+  EXPECT_EQ(Ask(Method::kPost, Audience::kHoldersOfToken), 200);
+  EXPECT_EQ(PollFor(std::chrono::minutes(2)), 401);
 }
 
 class TokenFile : public ScratchFolderTest {
