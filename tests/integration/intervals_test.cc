@@ -117,7 +117,7 @@ class Intervals : public ScratchFolderTest {
 };
 
 // Of skin that both have fitted: is what the quiet fit finds within the noisy one's interval?
-// The fourth: is the width of the simulated skin?
+// The fourth: is the simulated skin's own width?
 std::array<Within, 4> LayersWithin(const Visit& noisy, const Visit& quiet, const Image<uint8_t>& skin,
                                    const Image<float>& spread) {
   std::array<Within, 4> within;
@@ -171,9 +171,10 @@ std::map<int, HoldOut> HoldOutsOf(const Visit& visit) {
 // Of narrower intervals the quiet camera's own noise would be most of what is judged.
 constexpr double kLeastHalfDn = 1.0;
 
-// Variance of the quiet camera's light, DN^2: of photons, of what it reads by, and of its steps of 1 DN.
-double QuietVariance(double light_dn, int takes) {
-  return (std::max(light_dn, 0.0) / kQuietGain + kQuietRead * kQuietRead + 1.0 / 12.0) / takes;
+// Variance of the quiet camera's light, DN^2: of photons, of what it reads by, and of its steps of 1 DN; by how many
+// sites it is the mean of.
+double QuietVariance(double light_dn, int sites) {
+  return (std::max(light_dn, 0.0) / kQuietGain + kQuietRead * kQuietRead + 1.0 / 12.0) / sites;
 }
 
 // By what the other hold-outs say, without the captured noise: is what the quiet camera saw within the interval,
@@ -211,7 +212,8 @@ Within LightWithin(const Visit& noisy, const Visit& quiet, const std::map<int, H
         if (skin(i, j) == 0 || (*lit)(i, j) == 0 || shape->lit[projector](i, j) == 0) continue;
         const double off = target->target(i, j, c) - prediction(i, j, c), half = error->HalfWidth(causes.At(i, j, c));
         if (!std::isfinite(off) || half < kLeastHalfDn) continue;
-        const double of_noise = kInterval95 * std::sqrt(QuietVariance(target->target(i, j, c), target->takes));
+        const int sites = target->takes * (c == 1 ? 2 : 1);  // a quad has two greens
+        const double of_noise = kInterval95 * std::sqrt(QuietVariance(target->target(i, j, c), sites));
         within.Add(std::abs(off) <= std::hypot(half, of_noise));
       }
   }
