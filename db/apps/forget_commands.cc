@@ -14,6 +14,8 @@
 #include "db/care/incoming.h"
 #include "db/catalogue/consent.h"
 #include "db/catalogue/deletions.h"
+#include "db/catalogue/ledger_follow.h"
+#include "db/catalogue/session_index.h"
 #include "db/privacy/forget.h"
 #include "db/privacy/retention.h"
 #include "db/privacy/ticket.h"
@@ -297,15 +299,24 @@ Result<IncomingLock> AddLeftovers(const CommonFlags& common, const ForgetFlags& 
     return lock;
   }
   SLX_ASSIGN_OR_RETURN(auto leftovers, DueIncoming(common.store, days, now));
-  if (!flags.dry_run && !leftovers.empty()) {
+  if (!flags.dry_run && !leftovers.sessions.empty()) {
     SLX_ASSIGN_OR_RETURN(lock, IncomingLock::Take(common.store));
     SLX_ASSIGN_OR_RETURN(leftovers, DueIncoming(common.store, days, now));
   }
-  for (const DueSession& leftover : leftovers) {
+  for (const std::string& newer : leftovers.newer)
+    std::fprintf(stderr, "stratalux-db: of a newer program, not purged: %s\n", Printable(newer).c_str());
+  for (const DueSession& leftover : leftovers.sessions) {
     request.leftovers.push_back(leftover.id);
     reasons[leftover.id] = leftover.reason;
   }
   return lock;
+}
+
+// Consents that the ledger withdraws and the index does not know of yet, also by the moment alone at which they were
+// given.
+Status FollowLedgerFirst(const CommonFlags& common) {
+  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(common.store, AccessMode::kReadWrite));
+  return FollowWithdrawals(index, common.store).status();
 }
 
 int RunPurge(const CommonFlags& common, const ForgetFlags& flags) {
@@ -313,6 +324,8 @@ int RunPurge(const CommonFlags& common, const ForgetFlags& flags) {
   if (!days.ok()) return Report(days.status());
   const auto now = flags.now.empty() ? Result<WallNs>(WallNow()) : ParseDate(flags.now);
   if (!now.ok()) return Report(now.status());
+  if (!flags.dry_run)
+    if (const Status followed = FollowLedgerFirst(common); !followed.ok()) return Report(followed);
   const auto due = DueSessions(common.store, *days, *now);
   if (!due.ok()) return Report(due.status());
   ForgetRequest request;

@@ -38,6 +38,9 @@ Status Connection::Error(const std::string& what) const {
     return Status::Integrity(message + "; restore it from a copy (the frames in sessions/ are not touched)");
   // A row that the schema refuses is the fault of what it was made from.
   if (code == SQLITE_CONSTRAINT) return Status::Integrity(message);
+  // It was opened before another file took its name (reindex); what is written to it would be lost.
+  if (handle_ && sqlite3_extended_errcode(handle_.get()) == SQLITE_READONLY_DBMOVED)
+    return Status::Busy(message + "; it was replaced by a new one meanwhile, try again");
   if (code == SQLITE_READONLY)
     return Status::Failed(message + "; its disk is mounted read-only, or its permissions forbid writing");
   if (code == SQLITE_CANTOPEN)

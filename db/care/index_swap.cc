@@ -3,6 +3,7 @@
 
 #include <cerrno>
 #include <cstring>
+#include <utility>
 
 #include <fcntl.h>
 #include <unistd.h>
@@ -32,17 +33,25 @@ Status Move(const fs::path& from, const fs::path& to) {
 
 }  // namespace
 
-Status ReleaseIndex(const fs::path& store) {
+Result<std::optional<Connection>> ReleaseIndex(const fs::path& store) {
   const fs::path file = store / "index.sqlite";
   std::error_code error;
-  if (!fs::exists(file, error)) return Status::Ok();
+  std::optional<Connection> held;
+  if (!fs::exists(file, error)) return held;
   auto connection = Connection::Open(file, Connection::Mode::kReadWrite);
-  if (!connection.ok()) return Status::Ok();
+  if (!connection.ok()) return held;
   // Leaving WAL mode needs the file for oneself: SQLite itself says whether somebody reads.
   const Status left = connection->Execute("PRAGMA journal_mode = DELETE");
   if (left.code() == StatusCode::kBusy)
     return Status::Busy(file.string() + " is open in another program; close it and try again");
-  return Status::Ok();
+  if (!left.ok()) return held;
+  const Status locked = connection->Execute("BEGIN IMMEDIATE");
+  if (locked.code() == StatusCode::kBusy) {  // somebody came in between
+    (void)ResumeIndex(store).ok();           // not while that program is there
+    return locked;
+  }
+  if (locked.ok()) held = std::move(connection).value();
+  return held;
 }
 
 Status ResumeIndex(const fs::path& store) {

@@ -3,7 +3,9 @@
 #pragma once
 
 #include <filesystem>
+#include <optional>
 
+#include "db/base/sqlite.h"
 #include "shared/base/result.h"
 
 namespace stratalux::db {
@@ -11,11 +13,13 @@ namespace stratalux::db {
 // What names of indexes that were swapped out begin with, and of their logs.
 inline constexpr const char* kKeptIndex = "index-before-reindex-";
 
-// Folds the old index's log into it and lets go of it, so that its file stands alone. kBusy while any program has it
-// open. A damaged or missing one is no failure: its log is kept beside it by SwapIndex.
-Status ReleaseIndex(const std::filesystem::path& store);
+// Folds the old index's log into it, so that its file stands alone, and keeps every program from writing it as long as
+// what is returned lives: let go of it behind SwapIndex. Whoever waited to write meanwhile is refused then (kBusy), as
+// SQLite sees that the file was moved. kBusy while any program has it open. A damaged or missing one is no failure
+// (nothing is held): its log is kept beside it by SwapIndex.
+[[nodiscard]] Result<std::optional<Connection>> ReleaseIndex(const std::filesystem::path& store);
 
-// Undoes ReleaseIndex where the old index stays.
+// Undoes ReleaseIndex where the old index stays; nobody holds it any more.
 Status ResumeIndex(const std::filesystem::path& store);
 
 // `fresh` becomes STORE/index.sqlite in one rename, synced before and after; the old index stays as

@@ -246,17 +246,16 @@ Status Build(const fs::path& store, const fs::path& work, Logger& logger, Reinde
                          "PRAGMA cache_size = -65536"));
   bool attached = false;
   if (fs::exists(store / "index.sqlite", error)) attached = connection.Attach(store / "index.sqlite", "old").ok();
-  {
-    SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
-    SLX_RETURN_IF_ERROR(InsertSessions(index, store, folders, attached, ledger, logger, report, ended));
-    const Status taken = attached ? TakeOver(index) : Status::Failed("it cannot be opened");
-    if (!taken.ok())
-      report.notes.push_back(
-          "access log, jobs and consents without a session were not taken over from the old index: " + taken.message());
-    // Whatever the old index said, or nobody any more: withdrawn stays withdrawn, forgotten stays forgotten.
-    SLX_RETURN_IF_ERROR(FollowLedger(index, store));
-    SLX_RETURN_IF_ERROR(transaction.Commit());
-  }
+  // Not IMMEDIATE, which would ask for the old index, too: ReleaseIndex holds it against writers.
+  SLX_RETURN_IF_ERROR(connection.Execute("BEGIN"));
+  SLX_RETURN_IF_ERROR(InsertSessions(index, store, folders, attached, ledger, logger, report, ended));
+  const Status taken = attached ? TakeOver(index) : Status::Failed("it cannot be opened");
+  if (!taken.ok())
+    report.notes.push_back("access log, jobs and consents without a session were not taken over from the old index: " +
+                           taken.message());
+  // Whatever the old index said, or nobody any more: withdrawn stays withdrawn, forgotten stays forgotten.
+  SLX_RETURN_IF_ERROR(FollowLedger(index, store));
+  SLX_RETURN_IF_ERROR(connection.Execute("COMMIT"));
   if (attached) SLX_RETURN_IF_ERROR(connection.Execute("DETACH old"));
   return connection.Execute(
       "PRAGMA main.synchronous = FULL; PRAGMA main.journal_mode = WAL;"
@@ -273,7 +272,7 @@ Status WriteEnding(const fs::path& folder, const RebuiltSession& session) {
 
 }  // namespace
 
-Result<ReindexReport> Reindex(const fs::path& store, Logger& logger) {
+Result<ReindexReport> Reindex(const fs::path& store, Logger& logger, const std::function<void()>& before_swap) {
   std::error_code error;
   if (!fs::is_directory(store / "sessions", error))
     return Status::NotFound("no store in " + store.string() + " (it has no folder 'sessions')");
@@ -281,16 +280,18 @@ Result<ReindexReport> Reindex(const fs::path& store, Logger& logger) {
       old.status().code() == StatusCode::kNewerSchema)
     return old.status();
   SLX_ASSIGN_OR_RETURN(const auto lock, WriteLock::Take(store));
-  SLX_RETURN_IF_ERROR(ReleaseIndex(store));
+  SLX_ASSIGN_OR_RETURN(auto held, ReleaseIndex(store));
   ReindexReport report;
   const fs::path work = store / kWorkFolder;
   std::vector<RebuiltSession> ended;
   Status built = Build(store, work, logger, report, ended);
   if (built.ok()) {
+    if (before_swap) before_swap();
     auto kept = SwapIndex(store, work / "index.sqlite");
     if (kept.ok()) report.kept = *kept;
     built = kept.status();
   }
+  held.reset();
   fs::remove_all(work, error);
   if (!built.ok()) {
     (void)ResumeIndex(store).ok();  // a damaged one cannot

@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -29,7 +30,9 @@ struct ReindexReport {
 // The new index is built beside the old one and takes its place in one rename. Forgotten sessions stay out, whatever
 // their folders hold. Access log, jobs and withdrawn consents are in no file: they are taken over from the old index
 // where it can be read. kBusy, before anything is written, while a session is written or any program has the old index
-// open. kNotFound: no store there.
-[[nodiscard]] Result<ReindexReport> Reindex(const std::filesystem::path& store, Logger& logger);
+// open. kNotFound: no store there. Whoever opens the old index meanwhile reads it, but cannot write what the new one
+// would lack. `before_swap` is called when the new one is whole, for tests.
+[[nodiscard]] Result<ReindexReport> Reindex(const std::filesystem::path& store, Logger& logger,
+                                            const std::function<void()>& before_swap = {});
 
 }  // namespace stratalux::db

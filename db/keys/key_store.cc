@@ -83,15 +83,25 @@ Status WipeJournal(const std::filesystem::path& store) {
   return SyncFolder(store);
 }
 
+// kIntegrity where the id has other bytes, which stay.
 Status Insert(const std::filesystem::path& store, const SessionKey& key) {
+  bool same = false;
   {
     SLX_ASSIGN_OR_RETURN(auto connection, OpenToWrite(store));
     SLX_ASSIGN_OR_RETURN(
         auto insert, connection.Prepare("INSERT OR IGNORE INTO keys (id, key, created_wall_ns) VALUES (?1, ?2, ?3)"));
     insert.Bind(1, std::span<const uint8_t>(key.id)).Bind(2, std::span<const uint8_t>(key.key->bytes));
     SLX_RETURN_IF_ERROR(insert.Bind(3, WallNow().ns).Run());
+    SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT key = ?2 FROM keys WHERE id = ?1"));
+    select.Bind(1, std::span<const uint8_t>(key.id)).Bind(2, std::span<const uint8_t>(key.key->bytes));
+    SLX_RETURN_IF_ERROR(select.Step().status());
+    same = select.Integer(0) == 1;
   }
-  return WipeJournal(store);
+  SLX_RETURN_IF_ERROR(WipeJournal(store));
+  if (same) return Status::Ok();
+  return Status::Integrity(KeyFile(store).string() + " has another key " + ToHex(key.id) +
+                           ", which stays: one of the two is damaged, or not what it says; run `stratalux-db key" +
+                           " export` again where the session was captured");
 }
 
 std::string NameUnder(const SecretKey& key, const std::string& pseudonym) {

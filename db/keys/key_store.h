@@ -34,7 +34,7 @@ struct SessionKey {
 [[nodiscard]] Result<SessionKey> CreateKey(const std::filesystem::path& store);
 // kNotFound where the key (or keys.sqlite) is not there or may not be read; kIntegrity for a damaged or foreign file.
 [[nodiscard]] Result<SessionKey> FindKey(const std::filesystem::path& store, const KeyId& id);
-// Stores a key that came from another machine; kOk when it is there already.
+// Stores a key that came from another machine; kOk when it is there already, kIntegrity where its id has other bytes.
 Status ImportKey(const std::filesystem::path& store, const SessionKey& key);
 // Overwrites and removes the key; kOk when it is not there.
 Status DestroyKey(const std::filesystem::path& store, const KeyId& id);

@@ -35,6 +35,9 @@ constexpr size_t kBoundBytes = sizeof(Digest), kOpenBytes = kBoundBytes + sizeof
 constexpr size_t kBoxBytes = kOpenBytes + crypto_box_SEALBYTES;
 constexpr size_t kDigestBytes = 16;
 constexpr int64_t kMostFileBytes = sizeof(RawKeyHeader) + kMostSessionBytes + kBoxBytes + kDigestBytes;
+// Of what is read, also of a later version, which is then told from a foreign file.
+constexpr int64_t kMostReadBytes = int64_t{64} << 10;
+static_assert(kMostFileBytes < kMostReadBytes);
 constexpr const char *kNameStart = "key-", *kNameEnd = ".sealed";
 
 struct KeyFileParts {
@@ -64,16 +67,9 @@ Digest BoundDigest(const std::string& said, const ReaderPublicKey& reader) {
 }
 
 Result<KeyFileParts> ReadParts(const fs::path& file) {
-  std::error_code error;
-  const auto type = fs::symlink_status(file, error).type();
-  if (type == fs::file_type::not_found) return Status::NotFound(file.string() + " is not there");
-  // A link, a pipe, or something larger than any is no sealed key.
-  const auto size = fs::file_size(file, error);
+  SLX_ASSIGN_OR_RETURN(const std::string bytes, ReadSealedKeyBytes(file));
   const Status foreign = Status::Integrity(file.string() + " is not a sealed key");
-  if (type != fs::file_type::regular || error) return foreign;
   KeyFileParts parts;
-  SLX_ASSIGN_OR_RETURN(const std::string bytes,
-                       ReadFile(file, std::max<int64_t>(static_cast<int64_t>(size), kMostFileBytes)));
   if (bytes.size() < sizeof kKeyMagic + sizeof parts.header.version ||
       std::memcmp(bytes.data(), kKeyMagic, sizeof kKeyMagic) != 0)
     return foreign;
@@ -125,6 +121,19 @@ std::vector<fs::path> ListSealedKeys(const fs::path& folder) {
       files.push_back(entry->path());
   std::sort(files.begin(), files.end());
   return files;
+}
+
+Result<std::string> ReadSealedKeyBytes(const fs::path& file) {
+  std::error_code error;
+  const auto type = fs::symlink_status(file, error).type();
+  if (type == fs::file_type::not_found) return Status::NotFound(file.string() + " is not there");
+  // A link, a pipe, or something larger than any is no sealed key.
+  if (type != fs::file_type::regular) return Status::Integrity(file.string() + " is not a sealed key");
+  const auto size = fs::file_size(file, error);
+  if (!error && size > static_cast<uintmax_t>(kMostReadBytes))
+    return Status::Integrity(file.string() + " is not a sealed key: it has " + std::to_string(size) +
+                             " bytes, a sealed key has at most " + std::to_string(kMostReadBytes));
+  return ReadFile(file, kMostReadBytes);
 }
 
 Status WriteSealedKey(const fs::path& folder, const std::string& session_id, const SessionKey& key,

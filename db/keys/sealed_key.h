@@ -35,6 +35,9 @@ struct SealedKeyHeader {
 // Whole under its name, or as it was. kUsage for a public key that nothing can be sealed to.
 Status WriteSealedKey(const std::filesystem::path& session_folder, const std::string& session_id, const SessionKey& key,
                       const ReaderPublicKey& reader);
+// All of the file, unchecked. kNotFound; kIntegrity for what is too large for one, of which nothing is read, or no
+// file.
+[[nodiscard]] Result<std::string> ReadSealedKeyBytes(const std::filesystem::path& file);
 // kNotFound; kIntegrity for a file that is cut or damaged, as its own digest tells; kNewerSchema.
 [[nodiscard]] Result<SealedKeyHeader> ReadSealedKeyHeader(const std::filesystem::path& file);
 // kOk where `file` is what its name and place say: of this session, key and reader.

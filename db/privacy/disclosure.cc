@@ -3,6 +3,7 @@
 
 #include "db/catalogue/deletions.h"
 #include "db/catalogue/manifest.h"
+#include "db/ledger/ledger.h"
 #include "db/privacy/access_log.h"
 
 namespace stratalux::db {
@@ -39,6 +40,10 @@ Status MayBeShown(const std::filesystem::path& store, ReadOnlyIndex& index, cons
   SLX_ASSIGN_OR_RETURN(const SessionKind kind, ParseSessionKind(TextIn(row[0])));
   std::optional<WallNs> withdrawn;
   if (const auto* at = std::get_if<int64_t>(&row[2])) withdrawn = WallNs{*at};
+  if (!withdrawn) {  // what stands in the ledger alone
+    SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
+    withdrawn = ledger.WithdrawnAt(id);
+  }
   const std::string why = WhyWithheld(kind, ConsentFromJson(TextIn(row[1])), withdrawn);
   return why.empty() ? Status::Ok() : Status::Usage("pictures and reports are not shown: " + why);
 }

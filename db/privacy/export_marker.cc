@@ -68,6 +68,11 @@ fs::path ExportMarker(const fs::path& folder, const std::string& session_id) {
   return folder / (std::string(kPrefix) + session_id + std::string(kSuffix));
 }
 
+bool IsInExport(const fs::path& file, const std::string& session_id) {
+  const auto files = ReadMarker(ExportMarker(file.parent_path(), session_id), session_id);
+  return files.ok() && std::ranges::find(*files, file.filename().string()) != files->end();
+}
+
 Status WriteExportMarker(const fs::path& folder, const std::string& session_id, const std::vector<std::string>& files) {
   std::set<std::string> all;
   const fs::path marker = ExportMarker(folder, session_id);
@@ -224,8 +229,13 @@ Result<ExportState> RemoveExport(const std::string& place, const std::string& se
     for (fs::path up = fs::path(name).parent_path(); !up.empty(); up = up.parent_path()) folders.insert(up);
   }
   for (auto sub = folders.rbegin(); sub != folders.rend(); ++sub) fs::remove(*folder / *sub, error);  // if empty
+  // While the marker names them: a power cut must not bring back what nothing looks for any more.
+  for (const fs::path& sub : folders)
+    if (fs::is_directory(*folder / sub, error)) SLX_RETURN_IF_ERROR(SyncFolder(*folder / sub));
+  SLX_RETURN_IF_ERROR(SyncFolder(*folder));
   fs::remove(marker, error);
   if (error) return Status::Failed("cannot delete " + marker.string() + ": " + error.message());
+  SLX_RETURN_IF_ERROR(SyncFolder(*folder));
   fs::remove(*folder, error);  // if empty
   return ExportState::kDeleted;
 }

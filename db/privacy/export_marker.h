@@ -15,6 +15,8 @@ namespace stratalux::db {
 
 [[nodiscard]] std::filesystem::path ExportMarker(const std::filesystem::path& folder, const std::string& session_id);
 
+// Whether the session's marker in the file's folder names it.
+[[nodiscard]] bool IsInExport(const std::filesystem::path& file, const std::string& session_id);
 // Written before the files themselves, so that an export that broke off is known, too. `files`: relative to the folder;
 // those of an earlier export of the session to the same folder stay listed. kUsage for a name that leaves the folder.
 Status WriteExportMarker(const std::filesystem::path& folder, const std::string& session_id,

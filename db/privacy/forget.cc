@@ -2,6 +2,7 @@
 #include "db/privacy/forget.h"
 
 #include <algorithm>
+#include <map>
 #include <set>
 
 #include <nlohmann/json.hpp>
@@ -11,6 +12,7 @@
 #include "db/base/memory_folder.h"
 #include "db/base/write_lock.h"
 #include "db/care/incoming.h"
+#include "db/catalogue/consent.h"
 #include "db/catalogue/forgotten_rows.h"
 #include "db/catalogue/ledger_follow.h"
 #include "db/keys/key_store.h"
@@ -50,6 +52,8 @@ class Forgetting {
   Status RemoveFoldersAside();
   Status RemoveRows(SessionIndex& index);
   Status RemoveVisitorKeys(SessionIndex& index);
+  Status WipeKeptIndexes(SessionIndex& index);
+  bool NamesGoneVisitor(const std::string& database, const std::vector<std::string>& telling);
   Status Compact(SessionIndex& index);
   Status RemoveFromNights();
   Status FindGoneVisitors(SessionIndex& index);
@@ -242,15 +246,46 @@ Status Forgetting::RemoveRows(SessionIndex& index) {
   return transaction.Commit();
 }
 
-Status Forgetting::Compact(SessionIndex& index) {
-  // Copies of the index from before a migration hold the rows as they were.
-  SLX_ASSIGN_OR_RETURN(const std::vector<fs::path> entries, EntriesOf(store_));
-  for (const fs::path& entry : entries) {
+// Copies of the index from before a migration or a reindex hold the rows as they were: each goes with its logs.
+Status Forgetting::WipeKeptIndexes(SessionIndex& index) {
+  SLX_ASSIGN_OR_RETURN(const auto telling, TellingPseudonyms(index, removed_->gone_visitors));
+  std::map<std::string, bool> holds;  // name of the database -> whether anything of it tells
+  SLX_ASSIGN_OR_RETURN(std::vector<fs::path> entries, EntriesOf(store_));
+  const auto kept_as = [](const fs::path& entry) {
     const std::string name = entry.filename().string();
-    if (!name.starts_with("index-before-") || !name.ends_with(".sqlite")) continue;
-    SLX_ASSIGN_OR_RETURN(const bool holds, HoldsMarker(entry, intents_));
-    if (holds) SLX_RETURN_IF_ERROR(WipeFile(entry));
+    const size_t end = name.starts_with("index-before-") ? name.find(".sqlite") : std::string::npos;
+    return end == std::string::npos ? std::string() : name.substr(0, end) + ".sqlite";
+  };
+  for (const fs::path& entry : entries) {
+    const std::string name = kept_as(entry);
+    if (name.empty()) continue;
+    SLX_ASSIGN_OR_RETURN(const bool tells, HoldsMarker(entry, intents_, telling));
+    holds[name] |= tells;
   }
+  for (auto& [name, tells] : holds)
+    if (!tells) tells = NamesGoneVisitor(name, telling);
+  SLX_ASSIGN_OR_RETURN(entries, EntriesOf(store_));  // to look into one may have made a log
+  for (const fs::path& entry : entries)
+    if (const auto found = holds.find(kept_as(entry)); found != holds.end() && found->second)
+      SLX_RETURN_IF_ERROR(WipeFile(entry));
+  return Status::Ok();
+}
+
+// By its rows. One that cannot be asked is left over where its bytes did not tell either.
+bool Forgetting::NamesGoneVisitor(const std::string& database, const std::vector<std::string>& telling) {
+  for (const std::string& visitor : removed_->gone_visitors) {
+    if (visitor == kSimulatedVisitor) continue;
+    const auto named = RowsName(store_ / database, visitor);
+    if (named.ok() && *named) return true;
+    if (!named.ok() && std::find(telling.begin(), telling.end(), visitor) == telling.end())
+      removed_->kept_exports.push_back(
+          {"", visitor, database + ": cannot be read, and may hold the pseudonym: " + named.status().message(), {}});
+  }
+  return false;
+}
+
+Status Forgetting::Compact(SessionIndex& index) {
+  SLX_RETURN_IF_ERROR(WipeKeptIndexes(index));
   return Checkpoint(index.connection());
 }
 
@@ -307,9 +342,10 @@ Status Forgetting::Remove() {
   SLX_RETURN_IF_ERROR(RemoveVisitorKeys(index));
   SLX_RETURN_IF_ERROR(RemoveRows(index));
   Done(ForgetStep::kRows);
+  SLX_RETURN_IF_ERROR(FindGoneVisitors(index));
   SLX_RETURN_IF_ERROR(Compact(index));
   Done(ForgetStep::kCompacted);
-  return FindGoneVisitors(index);
+  return Status::Ok();
 }
 
 Result<ForgetProof> Forgetting::Run() {

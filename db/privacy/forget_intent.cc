@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <optional>
 
 #include <nlohmann/json.hpp>
 #include <sodium.h>
@@ -134,6 +135,17 @@ Result<ForgetIntent> IntentFrom(const Json& json) {
   return intent;
 }
 
+// nullopt for a damaged one, and for another session's.
+std::optional<ForgetIntent> IntentOf(const std::string& text, const std::string& id) {
+  try {
+    auto intent = IntentFrom(Json::parse(text));
+    if (!intent.ok() || intent->session != id) return std::nullopt;
+    return std::move(*intent);
+  } catch (const nlohmann::json::exception&) {
+    return std::nullopt;
+  }
+}
+
 }  // namespace
 
 ForgottenSession SessionOf(const ForgetIntent& intent) {
@@ -258,14 +270,14 @@ Result<std::vector<ForgetIntent>> ReadIntents(const fs::path& store, std::vector
                        " --resume` as the account that began it, or change the file's owner");
       continue;
     }
-    const std::string& text = *read;
-    try {
-      auto intent = IntentFrom(Json::parse(text));
-      SLX_RETURN_IF_ERROR(intent.status().WithContext(file.string()));
-      intents.push_back(std::move(*intent));
-    } catch (const nlohmann::json::exception& error) {
-      return Status::Integrity(file.string() + ": " + error.what());
+    auto intent = IntentOf(*read, id);
+    if (!intent) {
+      unread.push_back(file.string() + " is damaged, or another session's; session " + id +
+                       " is not completely forgotten: remove that file, then run `stratalux-db forget " + id +
+                       "`, which collects again what is left");
+      continue;
     }
+    intents.push_back(std::move(*intent));
   }
   return intents;
 }

@@ -54,7 +54,7 @@ Status WriteIntent(const std::filesystem::path& store, const ForgetIntent& inten
 Status WipeIntent(const std::filesystem::path& store, const std::string& session_id);
 // Wipes what a program that was killed in the midst of a write or a wipe left of intents. Under the write lock.
 Status TidyIntents(const std::filesystem::path& store);
-// kIntegrity for a damaged one. `unread`: of each that is there and cannot be read why, and what to do.
+// `unread`: of each that is there and cannot be read, or is damaged, why, and what to do.
 [[nodiscard]] Result<std::vector<ForgetIntent>> ReadIntents(const std::filesystem::path& store,
                                                             std::vector<std::string>& unread);
 

@@ -20,7 +20,7 @@ struct ForgetProof::Removed {
   std::vector<ForgetIntent> intents;
   ForgetReport report;  // sessions in the order of intents
   std::vector<std::string> gone_visitors;
-  std::vector<StoreScanResult::Leftover> kept_exports;
+  std::vector<StoreScanResult::Leftover> kept_exports;  // and old indexes that cannot be read
   // Of the search.
   ScanPlan plan;
   StoreScanResult scan;

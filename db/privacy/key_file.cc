@@ -8,16 +8,19 @@
 #include <fcntl.h>
 #include <nlohmann/json.hpp>
 #include <sodium.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include "db/base/durable_file.h"
 #include "db/base/write_lock.h"
 #include "db/catalogue/deletions.h"
+#include "db/catalogue/session_index.h"
 #include "db/keys/key_store.h"
 #include "db/privacy/export_marker.h"
 #include "db/privacy/forget_intent.h"
 #include "shared/base/json_number.h"
 #include "shared/base/read_file.h"
+#include "shared/base/unique_fd.h"
 
 namespace stratalux::db {
 namespace {
@@ -47,18 +50,44 @@ Result<SessionKey> KeyFrom(const Json& json) {
 
 std::filesystem::path Beside(const std::filesystem::path& file) { return file.string() + ".new"; }
 
-// Whole under its name or not there; what a killed export left beside it is written over.
+// What a killed export of this session left beside `file`, by the session's marker, owner and mode. kUsage for anything
+// else there: whoever made that could read the key in it.
+Status WipeOwnLeftover(const std::filesystem::path& file, const std::string& session_id) {
+  const std::filesystem::path beside = Beside(file);
+  struct stat info {};
+  if (lstat(beside.c_str(), &info) != 0)
+    return errno == ENOENT ? Status::Ok()
+                           : Status::Failed("cannot check " + beside.string() + ": " + std::strerror(errno));
+  const bool ours = S_ISREG(info.st_mode) && info.st_uid == geteuid() && (info.st_mode & 077) == 0 &&
+                    info.st_nlink == 1 && IsInExport(beside, session_id);
+  if (!ours)
+    return Status::Usage(beside.string() + " is there, and the key would be written into it: move it away, or choose" +
+                         " another name");
+  return WipeFile(beside);
+}
+
+// Whole under its name or not there, and read by nobody else at any time.
 Status WritePrivately(const std::filesystem::path& file, const std::string& text) {
   const std::filesystem::path beside = Beside(file);
-  const int fd = open(beside.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_NOFOLLOW | O_CLOEXEC, 0600);
-  if (fd < 0) return Status::Failed("cannot create " + beside.string() + ": " + std::strerror(errno));
-  const bool written = write(fd, text.data(), text.size()) == static_cast<ssize_t>(text.size());
-  const int reason = errno;
-  close(fd);
-  const Status kept = written ? KeepFile(beside, file)
-                              : Status::Failed("cannot write " + beside.string() + ": " + std::strerror(reason));
-  if (!kept.ok()) unlink(beside.c_str());
+  const UniqueFd made(open(beside.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, 0600));
+  if (!made.ok()) return Status::Failed("cannot create " + beside.string() + ": " + std::strerror(errno));
+  Status kept = WriteAll(made.get(), text.data(), text.size(), beside.string());
+  if (kept.ok()) kept = KeepFile(beside, file);
+  if (!kept.ok() && !WipeFile(beside).ok()) unlink(beside.c_str());
   return kept;
+}
+
+// kIntegrity where the store lists the session under another key, or none: this one would open nothing of it.
+Status CheckIsKeyOf(const std::filesystem::path& store, const std::string& session, const KeyId& key) {
+  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadOnly));
+  const auto number = index.NumberOf(session);
+  if (number.status().code() == StatusCode::kNotFound) return Status::Ok();  // it comes later, by a pull
+  if (!number.ok()) return number.status();
+  SLX_ASSIGN_OR_RETURN(const SessionRow row, index.Session(*number));
+  if (row.key_id == ToHex(key)) return Status::Ok();
+  return Status::Integrity("its key " + ToHex(key) + " is not that of session " + session + ", which " +
+                           (row.key_id.empty() ? "is not encrypted" : "has key " + row.key_id) +
+                           "; run `stratalux-db key export` again where the session was captured");
 }
 
 }  // namespace
@@ -77,6 +106,8 @@ Status ExportKeyFile(const std::filesystem::path& store, const SessionRow& sessi
   std::error_code error;
   if (std::filesystem::exists(std::filesystem::symlink_status(file, error)))
     return Status::Usage(file.string() + " already exists; choose another name, or move it away");
+  // Before the marker names it, too: `forget` would delete it.
+  SLX_RETURN_IF_ERROR(WipeOwnLeftover(std::filesystem::absolute(file), session.info.id));
   const auto folder = std::filesystem::absolute(file).parent_path();
   return WriteExport(store, "key export", session.info.id, folder,
                      {file.filename().string(), Beside(file).filename().string()},
@@ -102,7 +133,8 @@ Result<std::string> ImportKeyFile(const std::filesystem::path& store, const std:
   // Under the lock, which a forgetting takes as well: behind it nobody would look for the key again.
   SLX_ASSIGN_OR_RETURN(const auto lock, WriteLock::Take(store));
   SLX_RETURN_IF_ERROR(RefuseForgotten(store, session));
-  SLX_RETURN_IF_ERROR(ImportKey(store, key));
+  SLX_RETURN_IF_ERROR(CheckIsKeyOf(store, session, key.id).WithContext(file.string()));
+  SLX_RETURN_IF_ERROR(ImportKey(store, key).WithContext(file.string()));
   return session;
 }
 

@@ -11,10 +11,12 @@
 namespace stratalux::db {
 
 // Logged as "key export" and marked, so that `forget` deletes the file where it still lies. kUsage for a session that
-// is not encrypted, kNotFound where its key is not here.
+// is not encrypted, and where FILE or FILE.new is there (but for what a killed export of the session left); kNotFound
+// where its key is not here.
 Status ExportKeyFile(const std::filesystem::path& store, const SessionRow& session, const std::filesystem::path& file);
-// The session's id. kUsage for the key of a forgotten session, kIntegrity for a file that is none, kNewerSchema
-// for one of a later version. Takes the write lock.
+// The session's id. kUsage for the key of a forgotten session; kIntegrity for a file that is none, for another key than
+// the session's where it is listed, and where the store has other bytes under the key's id; kNewerSchema for one of a
+// later version. Takes the write lock.
 [[nodiscard]] Result<std::string> ImportKeyFile(const std::filesystem::path& store, const std::filesystem::path& file);
 
 }  // namespace stratalux::db

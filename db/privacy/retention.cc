@@ -80,6 +80,19 @@ Status AddWithdrawn(Connection& connection, DueByNumber& due) {
   }
 }
 
+// What stands in the ledger alone: of a withdrawal that was broken off, of a transfer.
+Status AddWithdrawnByLedger(Connection& connection, const std::filesystem::path& store, DueByNumber& due) {
+  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
+  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT " + std::string(kWhatIsThere) +
+                                                       " FROM sessions s WHERE s.kind = 'visitor' AND s.id = ?1"));
+  for (const auto& [id, at] : ledger.withdrawn()) {
+    SLX_ASSIGN_OR_RETURN(const bool here, select.Bind(1, id).Step());
+    if (here) Add(select, "consent withdrawn on " + ToIso8601(at), due);
+    select.Reset();
+  }
+  return Status::Ok();
+}
+
 }  // namespace
 
 Result<std::vector<DueSession>> DueSessions(const std::filesystem::path& store, const RetentionDays& days, WallNs now) {
@@ -90,6 +103,7 @@ Result<std::vector<DueSession>> DueSessions(const std::filesystem::path& store, 
        {std::pair(Retention::kShort, days.short_days), std::pair(Retention::kStandard, days.standard_days),
         std::pair(Retention::kLong, days.long_days)})
     SLX_RETURN_IF_ERROR(AddPastTheirDays(connection, retention, kept, now, due));
+  SLX_RETURN_IF_ERROR(AddWithdrawnByLedger(connection, store, due));
   SLX_RETURN_IF_ERROR(AddWithdrawn(connection, due));
   std::vector<DueSession> sessions;
   sessions.reserve(due.size());
@@ -134,10 +148,16 @@ int64_t NewestWrite(const std::vector<fs::path>& places) {
   return newest;
 }
 
-std::optional<SessionInfo> InfoIn(const std::vector<fs::path>& places) {
-  for (const fs::path& place : places)
-    if (auto info = ReadManifest(place); info.ok()) return std::move(info).value();
-  return std::nullopt;
+// The first manifest that can be read; kNewerSchema where there are such of a later version alone, kNotFound where
+// there is none.
+Result<SessionInfo> InfoIn(const std::vector<fs::path>& places) {
+  Status newer = Status::NotFound("no manifest");
+  for (const fs::path& place : places) {
+    auto info = ReadManifest(place);
+    if (info.ok()) return info;
+    if (info.status().code() == StatusCode::kNewerSchema) newer = info.status();
+  }
+  return newer;
 }
 
 Result<std::unordered_set<std::string>> ListedIds(const fs::path& store) {
@@ -151,10 +171,16 @@ Result<std::unordered_set<std::string>> ListedIds(const fs::path& store) {
   }
 }
 
+// What a later program's manifest says of class and end cannot be read: never due here, and named in `newer`.
 std::string WhyLeftoverIsDue(const IncomingSession& leftover, const Ledger& ledger, const RetentionDays& days,
-                             WallNs now) {
+                             WallNs now, std::vector<std::string>& newer) {
   if (const auto withdrawn = ledger.WithdrawnAt(leftover.id)) return "consent withdrawn on " + ToIso8601(*withdrawn);
-  if (const auto info = InfoIn(leftover.places)) return WhyDue(*info, days, now);
+  const auto info = InfoIn(leftover.places);
+  if (info.ok()) return WhyDue(*info, days, now);
+  if (info.status().code() == StatusCode::kNewerSchema) {
+    newer.push_back(info.status().message());
+    return "";
+  }
   const int shortest = std::min({days.short_days, days.standard_days, days.long_days});
   const int64_t newest = NewestWrite(leftover.places);
   return newest <= DueUntil(shortest, now) ? AgeText("no manifest", newest, shortest, now) : "";
@@ -162,10 +188,9 @@ std::string WhyLeftoverIsDue(const IncomingSession& leftover, const Ledger& ledg
 
 }  // namespace
 
-Result<std::vector<DueSession>> DueIncoming(const fs::path& store, const RetentionDays& days, WallNs now) {
+Result<IncomingDue> DueIncoming(const fs::path& store, const RetentionDays& days, WallNs now) {
   const auto found = {ListIncoming(store), ListKeptManifests(store)};
-  if (std::all_of(found.begin(), found.end(), [](const auto& list) { return list.empty(); }))
-    return std::vector<DueSession>();
+  if (std::all_of(found.begin(), found.end(), [](const auto& list) { return list.empty(); })) return IncomingDue();
   SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
   SLX_ASSIGN_OR_RETURN(const auto listed, ListedIds(store));
   std::map<std::string, IncomingSession> leftovers;
@@ -176,11 +201,11 @@ Result<std::vector<DueSession>> DueIncoming(const fs::path& store, const Retenti
       known.id = session.id;
       known.places.insert(known.places.end(), session.places.begin(), session.places.end());
     }
-  std::vector<DueSession> due;
+  IncomingDue found_due;
   for (const auto& [id, leftover] : leftovers)
-    if (std::string why = WhyLeftoverIsDue(leftover, ledger, days, now); !why.empty())
-      due.push_back({.id = id, .reason = std::move(why)});
-  return due;
+    if (std::string why = WhyLeftoverIsDue(leftover, ledger, days, now, found_due.newer); !why.empty())
+      found_due.sessions.push_back({.id = id, .reason = std::move(why)});
+  return found_due;
 }
 
 }  // namespace stratalux::db

@@ -22,15 +22,22 @@ struct DueSession {
 
 // Oldest first. The age counts from the end of the session (its start, when it never ended) to `now`; a session of the
 // future, as a clock that was wrong makes them, is not due. Whether a consent was withdrawn is asked of the consent the
-// session was made under, and of the visitor's newest where that is not known here.
+// session was made under, and of the visitor's newest where that is not known here; what the ledger alone says counts,
+// too.
 [[nodiscard]] Result<std::vector<DueSession>> DueSessions(const std::filesystem::path& store, const RetentionDays& days,
                                                           WallNs now);
+
+struct IncomingDue {
+  std::vector<DueSession> sessions;
+  std::vector<std::string>
+      newer;  // manifests of a later program, by which nothing is due here: what is wrong with each
+};
 
 // The same of sessions that incoming/ alone knows, by their manifests there: what a broken-off transfer left of a
 // source that may never come back, and manifests that a pull kept of sessions it never took. What no manifest tells of
 // counts as of the shortest class, from its newest file on. By id; wipe them as the next transfer would (WipeIncoming),
 // with none at work (IncomingLock).
-[[nodiscard]] Result<std::vector<DueSession>> DueIncoming(const std::filesystem::path& store, const RetentionDays& days,
-                                                          WallNs now);
+[[nodiscard]] Result<IncomingDue> DueIncoming(const std::filesystem::path& store, const RetentionDays& days,
+                                              WallNs now);
 
 }  // namespace stratalux::db

@@ -174,8 +174,10 @@ Result<bool> IsTelling(SessionIndex& index, const std::string& visitor) {
 
 }  // namespace
 
-Result<bool> HoldsMarker(const fs::path& file, const std::vector<ForgetIntent>& intents) {
+Result<bool> HoldsMarker(const fs::path& file, const std::vector<ForgetIntent>& intents,
+                         const std::vector<std::string>& pseudonyms) {
   Markers markers;
+  for (const std::string& visitor : pseudonyms) markers.AddPseudonym(visitor);
   // A plain session's hashes may be another's, too; its id stands wherever its rows do.
   for (const ForgetIntent& intent : intents) {
     std::set<uint64_t> doubtful;
@@ -186,16 +188,29 @@ Result<bool> HoldsMarker(const fs::path& file, const std::vector<ForgetIntent>& 
   return !hits.empty();
 }
 
+Result<std::vector<std::string>> TellingPseudonyms(SessionIndex& index, const std::vector<std::string>& gone_visitors) {
+  std::vector<std::string> found;
+  for (const std::string& visitor : gone_visitors) {
+    SLX_ASSIGN_OR_RETURN(const bool telling, IsTelling(index, visitor));
+    if (telling) found.push_back(visitor);
+  }
+  return found;
+}
+
+Result<bool> RowsName(const fs::path& database, const std::string& visitor) {
+  SLX_ASSIGN_OR_RETURN(auto connection, Connection::Open(database, Connection::Mode::kReadOnly));
+  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT 1 FROM visitors WHERE id = ?1 UNION ALL"
+                                                       " SELECT 1 FROM sessions WHERE visitor = ?1"));
+  return select.Bind(1, visitor).Step();
+}
+
 Result<ScanPlan> PlanScan(SessionIndex& index, const std::vector<ForgetIntent>& intents,
                           const std::vector<std::string>& gone_visitors) {
   ScanPlan plan;
   for (const ForgetIntent& intent : intents) {
     SLX_ASSIGN_OR_RETURN(plan.ids_in_index[intent.session], AllowedInIndex(index, intent.session));
   }
-  for (const std::string& visitor : gone_visitors) {
-    SLX_ASSIGN_OR_RETURN(const bool telling, IsTelling(index, visitor));
-    if (telling) plan.pseudonyms.push_back(visitor);
-  }
+  SLX_ASSIGN_OR_RETURN(plan.pseudonyms, TellingPseudonyms(index, gone_visitors));
   SLX_RETURN_IF_ERROR(FindShared(index.connection(), intents, plan.shared_hashes));
   return plan;
 }

@@ -51,7 +51,16 @@ struct ScanPlan {
                                                 const std::vector<ForgetIntent>& intents, const ScanPlan& plan);
 [[nodiscard]] bool IsOfIndex(const std::filesystem::path& file);
 
-// True where a file holds any marker of the intents.
-[[nodiscard]] Result<bool> HoldsMarker(const std::filesystem::path& file, const std::vector<ForgetIntent>& intents);
+// True where a file holds any marker of the intents, or one of these pseudonyms.
+[[nodiscard]] Result<bool> HoldsMarker(const std::filesystem::path& file, const std::vector<ForgetIntent>& intents,
+                                       const std::vector<std::string>& pseudonyms = {});
+
+// Those of visitors without a session that bytes can tell, as PlanScan has it.
+[[nodiscard]] Result<std::vector<std::string>> TellingPseudonyms(SessionIndex& index,
+                                                                 const std::vector<std::string>& gone_visitors);
+
+// Whether rows of a database that is another program's, or an old one, name the visitor. An error where it cannot be
+// asked.
+[[nodiscard]] Result<bool> RowsName(const std::filesystem::path& database, const std::string& visitor);
 
 }  // namespace stratalux::db

@@ -150,7 +150,7 @@ Status ListAdopted(const fs::path& store, const std::string& id, const std::stri
 }
 
 Result<bool> AdoptSealedKey(const fs::path& store, const std::string& id, const fs::path& file) {
-  SLX_ASSIGN_OR_RETURN(const std::string bytes, ReadFile(file));
+  SLX_ASSIGN_OR_RETURN(const std::string bytes, ReadSealedKeyBytes(file));
   const fs::path target = store / "sessions" / id / file.filename();
   if (const auto there = ReadFile(target); there.ok() && *there == bytes) return false;
   SLX_ASSIGN_OR_RETURN(const auto lock, WriteLock::Take(store));

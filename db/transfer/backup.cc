@@ -6,6 +6,8 @@
 #include <set>
 
 #include <fcntl.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
 #include "db/base/durable_file.h"
 #include "db/base/file_lock.h"
@@ -23,17 +25,33 @@ namespace {
 namespace fs = std::filesystem;
 constexpr const char* kLockName = "backup.lock";
 
-// One transaction's view of the whole database, in a file of its own.
+// What a backup that was killed left of a copy, which may be one of all keys. kUsage for what is not ours.
+Status WipePart(const fs::path& part) {
+  struct stat info {};
+  if (lstat(part.c_str(), &info) != 0)
+    return errno == ENOENT ? Status::Ok()
+                           : Status::Failed("cannot check " + part.string() + ": " + std::strerror(errno));
+  const bool ours =
+      S_ISREG(info.st_mode) && info.st_uid == geteuid() && (info.st_mode & 077) == 0 && info.st_nlink == 1;
+  if (!ours) return Status::Usage(part.string() + " was not left by a backup of this account; move it away");
+  return WipeFile(part);
+}
+
+// One transaction's view of the whole database, in a file of its own; nothing of it stays where that fails.
 Status Snapshot(const fs::path& database, const fs::path& to) {
-  std::error_code error;
   const fs::path part = to.string() + ".part";
-  fs::remove(part, error);
+  SLX_RETURN_IF_ERROR(WipePart(part));
   // Made by us and not by SQLite, so that a copy of all keys never has any other mode.
   const UniqueFd made(open(part.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, 0600));
   if (made.get() < 0) return Status::Failed("cannot create " + part.string() + ": " + std::strerror(errno));
-  SLX_ASSIGN_OR_RETURN(auto connection, Connection::Open(database, Connection::Mode::kReadOnly));
-  SLX_RETURN_IF_ERROR(connection.CopyInto(part));
-  return KeepFile(part, to);
+  const auto copy = [&]() -> Status {
+    SLX_ASSIGN_OR_RETURN(auto connection, Connection::Open(database, Connection::Mode::kReadOnly));
+    SLX_RETURN_IF_ERROR(connection.CopyInto(part));
+    return KeepFile(part, to);
+  };
+  const Status copied = copy();
+  if (!copied.ok() && !WipeFile(part).ok()) unlink(part.c_str());
+  return copied;
 }
 
 // The store or backup that a file would lie in; empty where there is none.

@@ -37,7 +37,8 @@ Result<std::vector<std::string>> ForgottenButHere(const fs::path& store) {
   std::vector<std::string> here;
   for (const auto& [id, certificate] : ledger.forgotten()) {
     const auto number = index.NumberOf(id);
-    if (number.ok()) here.push_back(id);
+    std::error_code error;
+    if (number.ok() || fs::exists(store / "sessions" / id, error)) here.push_back(id);
     if (!number.ok() && number.status().code() != StatusCode::kNotFound) return number.status();
   }
   return here;

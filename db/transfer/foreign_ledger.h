@@ -18,7 +18,7 @@ namespace stratalux::db {
 // until then. Returns the number of consents.
 [[nodiscard]] Result<int64_t> ApplyWithdrawals(const std::filesystem::path& store);
 
-// Sessions that the index lists and the ledger forgets.
+// Sessions that the ledger forgets, and that the index lists or that have a folder.
 [[nodiscard]] Result<std::vector<std::string>> ForgottenButHere(const std::filesystem::path& store);
 
 }  // namespace stratalux::db

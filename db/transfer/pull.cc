@@ -55,6 +55,7 @@ class Puller {
   Status Run();
 
  private:
+  Status TakeAll();
   [[nodiscard]] bool dry() const { return options_.mode == PullMode::kDryRun; }
   template <typename Wait>
   auto ForTheSource(const Wait& wait);
@@ -276,8 +277,17 @@ Status Puller::OutOfTime(const std::string& how_far) const {
                                            " s is over: " + how_far + ", the next pull continues");
 }
 
+// However it ends: what came is bound by what the ledger withdraws.
 Status Puller::Run() {
   turn_.lock();
+  const Status taken = TakeAll();
+  if (dry()) return taken;
+  const auto late = ApplyWithdrawals(store_);
+  if (late.ok()) report_.withdrawals += *late;
+  return taken.ok() ? late.status() : taken;
+}
+
+Status Puller::TakeAll() {
   if (const Status told = TakeLedger(); !told.ok())
     return told.code() == StatusCode::kTryAgain && !InTime() ? OutOfTime("the source did not say what it has") : told;
   SLX_RETURN_IF_ERROR(Obey());
@@ -303,9 +313,6 @@ Status Puller::Run() {
     }
     progress.Advance();
   }
-  if (dry()) return Status::Ok();
-  SLX_ASSIGN_OR_RETURN(const int64_t late, ApplyWithdrawals(store_));  // of sessions that came just now
-  report_.withdrawals += late;
   return Status::Ok();
 }
 

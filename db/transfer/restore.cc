@@ -96,6 +96,7 @@ class Restorer {
   Status Fetch(const std::string& id, const std::vector<std::string>& paths);
   Status TakeNew(const std::string& id, const std::vector<std::string>& paths);
   Status TakeMerged(const std::string& id, const std::vector<std::string>& paths);
+  Status WipeForgotten(const Ledger& ledger);
 
   const fs::path from_, store_;
   const FileList& list_;
@@ -165,8 +166,19 @@ Status Restorer::TakeMerged(const std::string& id, const std::vector<std::string
   return AdoptFolder(store_, IncomingFolder(store_, id), "backup " + from_.string());
 }
 
+// Moved by an interrupted run, whose ledger did not forget them yet.
+Status Restorer::WipeForgotten(const Ledger& ledger) {
+  std::error_code error;
+  std::vector<fs::path> gone;
+  for (const auto& entry : fs::directory_iterator(store_ / "sessions", error))
+    if (ledger.IsForgotten(entry.path().filename().string()) && !entry.is_symlink(error)) gone.push_back(entry.path());
+  for (const fs::path& folder : gone) SLX_RETURN_IF_ERROR(WipeFolder(folder));
+  return Status::Ok();
+}
+
 Status Restorer::TakeSessions(RestoreInto into, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store_));
+  if (into == RestoreInto::kNewStore) SLX_RETURN_IF_ERROR(WipeForgotten(ledger));
   std::set<std::string> here;
   if (into == RestoreInto::kMerge) {
     SLX_ASSIGN_OR_RETURN(here, ListedSessions(store_));
@@ -198,8 +210,9 @@ Status Restorer::TakeSessions(RestoreInto into, Logger& logger) {
 
 // A run that was broken off may have placed one already, which programs have open, or whose log they left.
 Status Restorer::SwapIn(const fs::path& fresh) {
-  SLX_RETURN_IF_ERROR(ReleaseIndex(store_));
+  SLX_ASSIGN_OR_RETURN(auto held, ReleaseIndex(store_));
   const auto kept = SwapIndex(store_, fresh);
+  held.reset();
   if (!kept.ok()) {
     (void)ResumeIndex(store_).ok();  // a damaged one cannot
     return kept.status();

@@ -71,14 +71,17 @@ Status ListFolder(SessionIndex& index, const fs::path& folder, const std::string
   return InsertRebuilt(index, session, number).status();
 }
 
-Status ListUnlisted(SessionIndex& index, const fs::path& store, const std::string& from, RestoreReport& report) {
+// But what was forgotten, whatever its folder holds.
+Status ListUnlisted(SessionIndex& index, const fs::path& store, const Ledger& ledger, const std::string& from,
+                    RestoreReport& report) {
   SLX_ASSIGN_OR_RETURN(const auto sessions, SessionsOfIndex(index.connection()));
   std::set<std::string> listed;
   for (const VisitorSession& row : sessions) listed.insert(row.session);
   std::error_code error;
   std::set<fs::path> unlisted;
   for (const auto& entry : fs::directory_iterator(store / "sessions", error))
-    if (!listed.contains(entry.path().filename().string())) unlisted.insert(entry.path());
+    if (const std::string id = entry.path().filename().string(); !listed.contains(id) && !ledger.IsForgotten(id))
+      unlisted.insert(entry.path());
   for (const fs::path& folder : unlisted) {
     const Status added = ListFolder(index, folder, from);
     if (IsTroubleOfAll(added)) return added;
@@ -116,7 +119,7 @@ Status PrepareIndex(const fs::path& store, const fs::path& work, const std::stri
   }
   if (any_forgotten) SLX_RETURN_IF_ERROR(connection.Execute("VACUUM"));
   SLX_RETURN_IF_ERROR(DropFitsWithoutRecord(connection, store, report));
-  SLX_RETURN_IF_ERROR(ListUnlisted(index, store, from, report));
+  SLX_RETURN_IF_ERROR(ListUnlisted(index, store, ledger, from, report));
   return connection.Execute("PRAGMA journal_mode = WAL; PRAGMA wal_checkpoint(TRUNCATE)");
 }
 

@@ -4,6 +4,7 @@
 #include "db/catalogue/deletions.h"
 #include "db/catalogue/manifest.h"
 #include "db/catalogue/schema_check.h"
+#include "db/ledger/ledger.h"
 #include "db/serve_style.h"
 
 namespace stratalux::db {
@@ -78,7 +79,12 @@ Result<ServedSession> Site::Find(ReadOnlyIndex& index, const std::string& id) co
   if (forgotten) return Status::NotFound("session '" + id + "' was forgotten; its certificate is among the deletions");
   SLX_ASSIGN_OR_RETURN(const auto table, index.Run(kSession, {{"session", id}}));
   if (table.rows.empty()) return Status::NotFound("no session '" + id + "' in this store");
-  return SessionOf(table.rows.front());
+  SLX_ASSIGN_OR_RETURN(ServedSession session, SessionOf(table.rows.front()));
+  if (session.withheld.empty()) {  // what stands in the ledger alone
+    SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store_));
+    session.withheld = WhyWithheld(session.info.kind, session.info.consent, ledger.WithdrawnAt(id));
+  }
+  return session;
 }
 
 Result<ServedSession> Site::Disclose(const std::string& id, const std::string& what, const std::string& peer) {

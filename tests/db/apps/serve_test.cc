@@ -17,6 +17,7 @@
 #include "db/catalogue/consent.h"
 #include "db/catalogue/named_query.h"
 #include "db/keys/key_store.h"
+#include "db/ledger/ledger.h"
 #include "db/privacy/access_log.h"
 #include "db/privacy/forget.h"
 #include "db/segment/segment.h"
@@ -545,6 +546,15 @@ TEST_F(ServePages, AFrameNumberThatNoNumberHoldsIsRefused) {
     EXPECT_EQ(Get("/sessions/" + id + "/frames?from=" + number).status, 400) << number;
   }
   EXPECT_EQ(Get("/sessions/" + id + "/frames/9223372036854775807").status, 404);
+}
+
+// Killed between the ledger's entry and the index, or brought by a pull.
+TEST_F(ServePages, AWithdrawalThatStandsInTheLedgerAloneCoversPicturesToo) {
+  const std::string id = VisitOf("v-5f3a91c2");
+  EXPECT_EQ(Get("/pictures/" + id + "/0").headers.at("content-type"), "image/png");
+  ASSERT_TRUE(AppendToLedger(folder_, {LedgerKind::kWithdrawal, WallNow(), {id}, "", ""}).ok());
+  EXPECT_THAT(Get("/pictures/" + id + "/0").body, HasSubstr("withheld"));
+  EXPECT_THAT(Get("/sessions/" + id).body, HasSubstr("consent was withdrawn on"));
 }
 
 }  // namespace

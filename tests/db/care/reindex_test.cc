@@ -2,13 +2,16 @@
 // The index can be lost: what it said is in the files.
 #include "db/care/reindex.h"
 
+#include <chrono>
 #include <fstream>
+#include <thread>
 
 #include <gmock/gmock.h>
 
 #include "db/care/verify.h"
 #include "db/catalogue/consent.h"
 #include "db/catalogue/session_index.h"
+#include "db/privacy/access_log.h"
 #include "tests/db/store_fixture.h"
 
 namespace stratalux::db {
@@ -209,6 +212,32 @@ TEST_F(ReindexTest, ADamagedIndexIsReplacedAndKept) {
   EXPECT_EQ(ReadBytes(folder_ / "index-before-reindex-1.sqlite").size(), 81U);
   const SessionStore store = OpenStore(AccessMode::kReadOnly);
   EXPECT_THAT(VerifyStore(store)->problems, IsEmpty());
+}
+
+// A writer that opened the old index waits for it: what it writes must not go where nobody reads again.
+TEST_F(ReindexTest, WhatIsWrittenWhileTheNewIndexTakesItsPlaceIsRefusedOrFound) {
+  using namespace std::chrono_literals;
+  StoreVisit("v-0a11a0a1", 9'000);
+  const std::string late = "v-0be00be0";
+  Status given, logged;
+  std::thread consent, log;
+  const auto report = Reindex(folder_, logger_, [&] {
+    consent = std::thread([&] { given = GiveConsent(folder_, late, {"v3", "de", true, false, true, {}}); });
+    log = std::thread([&] { logged = LogAccess(folder_, "export", "", "vm:/tmp/pictures"); });
+    std::this_thread::sleep_for(300ms);  // both have the old file open by then, and wait
+  });
+  if (consent.joinable()) consent.join();
+  if (log.joinable()) log.join();
+  ASSERT_TRUE(report.ok()) << report.status().message();
+  if (given.ok())
+    EXPECT_EQ(ListConsents(folder_, late)->size(), 1U);
+  else
+    EXPECT_EQ(given.code(), StatusCode::kBusy) << given.message();
+  if (logged.ok())
+    EXPECT_EQ(ListAccess(folder_, "")->size(), 1U);
+  else
+    EXPECT_EQ(logged.code(), StatusCode::kBusy) << logged.message();
+  EXPECT_TRUE(GiveConsent(folder_, late, {"v3", "de", true, false, true, {}}).ok()) << "the new one takes it";
 }
 
 }  // namespace

@@ -9,11 +9,13 @@
 #include "db/care/verify.h"
 #include "db/catalogue/consent.h"
 #include "db/catalogue/deletions.h"
+#include "db/privacy/export_marker.h"
 #include "db/privacy/forget.h"
 #include "db/transfer/backup.h"
 #include "db/transfer/pull.h"
 #include "tests/db/crash/crash_fixture.h"
 #include "tests/db/crash/enumeration.h"
+#include "tests/support/text_file.h"
 
 namespace stratalux::db::crash {
 namespace {
@@ -172,6 +174,34 @@ TEST_F(VerbCrash, AForgettingThatBeganEndsAndNeverReturns) {
     };
     ExpectNone("power cuts of a forgetting", Enumerate(log, check, Remains(), options_), 60);
   }
+}
+
+// The certificate that follows calls it deleted, and nobody looks for it again.
+TEST_F(VerbCrash, AnExportThatWasDeletedStaysDeleted) {
+  const std::vector<std::string> names = {"small.key", "deep/er/large.png"};
+  const fs::path out = Store() / "out";
+  ASSERT_TRUE(WriteExportMarker(out, first_.id, names).ok());
+  fs::create_directories(out / "deep" / "er");
+  WriteText(out / "small.key", "a key");
+  WriteText(out / "deep" / "er" / "large.png", std::string(9'000, 'x'));
+  WriteText(out / "deep" / "thesis.txt", "mine");
+  const DiskLog log = RecordVerb([&] {
+    const auto state = RemoveExport(ExportPlace(out), first_.id);
+    ASSERT_TRUE(state.ok()) << state.status().message();
+    ASSERT_EQ(*state, ExportState::kDeleted);
+  });
+  const CheckFunction check = [&](const fs::path& folder, int64_t mark, CheckCounts& counts) {
+    Findings broken;
+    ++counts.stores;
+    const bool marked = fs::exists(ExportMarker(folder / "out", first_.id));
+    if (mark == 1 && marked) broken.push_back("the marker is back");
+    for (const std::string& name : names)
+      if (!marked && fs::exists(folder / "out" / name)) broken.push_back(name + " is back, and nothing names it");
+    if (!fs::exists(folder / "out" / "deep" / "thesis.txt")) broken.push_back("somebody else's file is gone");
+    return broken;
+  };
+  ExpectNone("power cuts of an export's deletion", Enumerate(log, check, Remains(), {.random_cuts = 3, .stride = 1}),
+             6);
 }
 
 TEST_F(VerbCrash, AReindexLeavesAnIndexOldOrNew) {

@@ -179,5 +179,18 @@ TEST_F(SealedKeyTest, AreWipedWithWhatAKilledProgramLeftBeside) {
   EXPECT_TRUE(WipeSealedKeys(session_).ok()) << "again is no error";
 }
 
+// What a source offers under a key's name may have any size: none of it is read.
+TEST_F(SealedKeyTest, ThatAreTooLargeAreRefusedUnread) {
+  for (const uintmax_t size : {uintmax_t{65'537}, uintmax_t{100'000'000'000}}) {
+    fs::resize_file(file_, size);
+    for (const Status& status :
+         {Open(), ReadSealedKeyHeader(file_).status(), CheckSealedKey(file_, kSession, key_.id)}) {
+      EXPECT_EQ(status.code(), StatusCode::kIntegrity) << status.message();
+      for (const std::string& part : {file_.string(), std::to_string(size), std::string("65536")})
+        EXPECT_THAT(status.message(), HasSubstr(part));
+    }
+  }
+}
+
 }  // namespace
 }  // namespace stratalux::db

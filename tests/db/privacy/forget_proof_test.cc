@@ -6,6 +6,7 @@
 #include <fcntl.h>
 #include <sys/wait.h>
 
+#include "shared/base/read_file.h"
 #include "tests/db/privacy/forget_fixture.h"
 
 namespace stratalux::db {
@@ -178,6 +179,46 @@ TEST_F(ForgetHalves, ASearchLeavesTheLocksOfThisProcessOnTheIndex) {
   for (const char* file : {"index.sqlite", "index.sqlite-shm"}) EXPECT_TRUE(IsLockedByUs(folder_ / file)) << file;
   ASSERT_TRUE(writer->Execute("ROLLBACK").ok());
   EXPECT_THAT(proof->Certify()->leftovers, IsEmpty());
+}
+
+// As a power cut or a bad block leaves it.
+TEST_F(ForgetHalves, ABegunForgettingWhoseNoteIsDamagedKeepsNobodyWaiting) {
+  const std::string id = Visit(kVisitor, 1, Encryption::kPerSession), other = Visit(kOther, 2, Encryption::kNone);
+  const Traces traces = TracesOf(id);
+  const pid_t child = fork();
+  ASSERT_GE(child, 0);
+  if (child == 0) {
+    Logger quiet(LogLevel::kError);
+    ForgetRequest request;
+    request.sessions = {id};
+    request.after_step = [](ForgetStep step) {
+      if (step == ForgetStep::kEntered) _exit(9);
+    };
+    _exit(Forget(folder_, request, quiet).ok() ? 0 : 1);
+  }
+  int status = 0;
+  ASSERT_EQ(waitpid(child, &status, 0), child);
+  ASSERT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) == 9);
+  const fs::path intent = folder_ / "ledger" / (id + ".forgetting");
+  std::string of_other = *ReadFile(intent);
+  WriteText(intent, std::string(of_other.size(), '\0'));
+  const auto asked = ForgetNow({other});
+  ASSERT_TRUE(asked.ok()) << asked.status().message();
+  ASSERT_EQ(asked->leftovers.size(), 1U);
+  EXPECT_THAT(asked->leftovers[0], ::testing::HasSubstr(intent.string()));
+  EXPECT_THAT(asked->leftovers[0], ::testing::HasSubstr("`stratalux-db forget " + id + "`"));
+  EXPECT_EQ(CertificateOf(other)["verification"]["clean"], true);
+  // Nor is one taken for what its name says that speaks of another session.
+  of_other.replace(of_other.find(id), id.size(), other);
+  WriteText(intent, of_other);
+  EXPECT_THAT(ForgetNow({}).status().message(), ::testing::HasSubstr(intent.string()));
+  EXPECT_TRUE(fs::exists(intent));
+  // The remedy, as it was said.
+  fs::remove(intent);
+  const auto again = ForgetNow({id});
+  ASSERT_TRUE(again.ok()) << again.status().message();
+  EXPECT_THAT(again->leftovers, IsEmpty());
+  ExpectGone(traces, kVisitor);
 }
 
 }  // namespace

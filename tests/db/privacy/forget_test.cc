@@ -545,5 +545,39 @@ TEST_F(ForgetTest, RewritesAnIndexThatStillHoldsSomething) {
   ExpectGone(traces, kVisitor);
 }
 
+// Copies from before the session, or of a visitor whose sessions went one by one: neither id nor key, the name alone.
+TEST_F(ForgetTest, OldCopiesOfTheIndexLoseTheNameOfAVisitorWhoIsGone) {
+  const std::string brief = "v-7";
+  ASSERT_TRUE(GiveConsent(folder_, brief, {"2026-03", "de", true, true, false, {}}).ok());
+  const auto copy_as = [&](const std::string& name, const std::string& but) {
+    auto connection = Connection::Open(folder_ / "index.sqlite", Connection::Mode::kReadWrite);
+    ASSERT_TRUE(connection->Execute("VACUUM INTO '" + (folder_ / name).string() + "'").ok());
+    auto copy = Connection::Open(folder_ / name, Connection::Mode::kReadWrite);
+    for (const char* table : {"consents WHERE visitor", "visitors WHERE id"})
+      ASSERT_TRUE(copy->Execute("DELETE FROM " + std::string(table) + " IN (" + but + ")").ok());
+    ASSERT_TRUE(copy->Execute("VACUUM").ok());
+  };
+  const std::string long_name = "'" + std::string(kVisitor) + "'", short_name = "'" + brief + "'";
+  copy_as("index-before-reindex-1.sqlite", short_name);
+  copy_as("index-before-reindex-2.sqlite", long_name);
+  copy_as("index-before-reindex-3.sqlite", long_name + ", " + short_name);
+  WriteText(folder_ / "index-before-reindex-4.sqlite", "damaged, and its log is whole");
+  WriteText(folder_ / "index-before-reindex-4.sqlite-wal", "of " + std::string(kVisitor));
+  const std::string first = Visit(kVisitor, 1, Encryption::kNone), second = Visit(brief, 2, Encryption::kNone);
+  ASSERT_TRUE(ForgetNow({first}).ok());
+  for (const char* gone : {"1.sqlite", "4.sqlite", "4.sqlite-wal"})
+    EXPECT_FALSE(fs::exists(folder_ / (std::string("index-before-reindex-") + gone))) << gone;
+  for (const char* stays : {"2.sqlite", "3.sqlite"})
+    EXPECT_TRUE(fs::exists(folder_ / (std::string("index-before-reindex-") + stays))) << stays;
+  WriteText(folder_ / "index-before-reindex-5.sqlite", "damaged: whom it names nobody can tell");
+  const auto report = ForgetNow({second});
+  ASSERT_TRUE(report.ok()) << report.status().message();
+  EXPECT_FALSE(fs::exists(folder_ / "index-before-reindex-2.sqlite")) << "by its row";
+  EXPECT_TRUE(fs::exists(folder_ / "index-before-reindex-3.sqlite"));
+  EXPECT_THAT(report->leftovers, ::testing::ElementsAre(HasSubstr("index-before-reindex-5.sqlite: cannot be read")));
+  fs::remove(folder_ / "index-before-reindex-5.sqlite");
+  EXPECT_THAT(ForgetNow({})->leftovers, IsEmpty());
+}
+
 }  // namespace
 }  // namespace stratalux::db

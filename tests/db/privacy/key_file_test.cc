@@ -4,6 +4,7 @@
 
 #include <thread>
 
+#include "db/privacy/export_marker.h"
 #include "shared/base/read_file.h"
 #include "tests/db/privacy/forget_fixture.h"
 #include "tests/support/held_open.h"
@@ -61,6 +62,64 @@ TEST_F(KeyFileTest, AForgettingThatBeginsMeanwhileKeepsItOut) {
   ASSERT_TRUE(forgotten.ok()) << forgotten.message();
   EXPECT_EQ(imported.code(), StatusCode::kUsage) << imported.message();
   EXPECT_FALSE(FindKey(other_, key_id_).ok());
+}
+
+// Whoever made the file that the key is written into could read it there.
+TEST_F(KeyFileTest, AFileBesideThatIsNotOfAKilledExportIsNotWrittenInto) {
+  const fs::path file = exports_ / "n.key", beside = exports_ / "n.key.new";
+  WriteText(beside, "mine");
+  for (const int mode : {0644, 0600}) {
+    fs::permissions(beside, static_cast<fs::perms>(mode));
+    const Status refused = ExportKeyFile(folder_, *OpenStore(AccessMode::kReadOnly).FindSession(id_), file);
+    EXPECT_EQ(refused.code(), StatusCode::kUsage) << refused.message();
+    EXPECT_THAT(refused.message(), HasSubstr(beside.string()));
+    EXPECT_FALSE(fs::exists(file));
+    EXPECT_EQ(*ReadFile(beside), "mine");
+    EXPECT_FALSE(IsInExport(beside, id_)) << "a forgetting would delete it";
+  }
+}
+
+TEST_F(KeyFileTest, WhatAKilledExportLeftBesideIsReplaced) {
+  const fs::path file = exports_ / "k.key", beside = exports_ / "k.key.new";
+  const std::string whole = *ReadFile(file);
+  fs::remove(file);
+  WriteText(beside, whole.substr(0, 20));
+  const auto again = [&] { return ExportKeyFile(folder_, *OpenStore(AccessMode::kReadOnly).FindSession(id_), file); };
+  fs::permissions(beside, static_cast<fs::perms>(0644));
+  EXPECT_EQ(again().code(), StatusCode::kUsage) << "none of ours has this mode";
+  fs::permissions(beside, static_cast<fs::perms>(0600));
+  const Status exported = again();
+  ASSERT_TRUE(exported.ok()) << exported.message();
+  EXPECT_EQ(*ReadFile(file), whole);
+  EXPECT_EQ(fs::status(file).permissions(), static_cast<fs::perms>(0600));
+  EXPECT_FALSE(fs::exists(beside));
+}
+
+TEST_F(KeyFileTest, OtherBytesUnderAKnownIdAreRefused) {
+  ASSERT_TRUE(ImportKeyFile(other_, exports_ / "k.key").ok());
+  auto json = nlohmann::json::parse(*ReadFile(exports_ / "k.key"));
+  json["key"] = std::string(64, 'a');
+  WriteText(exports_ / "changed.key", json.dump());
+  const auto refused = ImportKeyFile(other_, exports_ / "changed.key");
+  EXPECT_EQ(refused.status().code(), StatusCode::kIntegrity) << refused.status().message();
+  EXPECT_THAT(refused.status().message(), HasSubstr((exports_ / "changed.key").string()));
+  EXPECT_EQ(FindKey(other_, key_id_)->key->bytes, FindKey(folder_, key_id_)->key->bytes);
+  EXPECT_TRUE(ImportKeyFile(other_, exports_ / "k.key").ok()) << "the same again is no error";
+}
+
+TEST_F(KeyFileTest, AnotherKeyThanThatOfTheListedSessionIsRefused) {
+  auto json = nlohmann::json::parse(*ReadFile(exports_ / "k.key"));
+  const std::string right = json["key_id"];
+  json["key_id"] = std::string(32, 'b');
+  WriteText(exports_ / "foreign.key", json.dump());
+  const auto refused = ImportKeyFile(folder_, exports_ / "foreign.key");
+  EXPECT_EQ(refused.status().code(), StatusCode::kIntegrity) << refused.status().message();
+  for (const std::string& part : {id_, right, (exports_ / "foreign.key").string()})
+    EXPECT_THAT(refused.status().message(), HasSubstr(part));
+  KeyId foreign{};
+  foreign.fill(0xbb);
+  EXPECT_FALSE(FindKey(folder_, foreign).ok());
+  EXPECT_TRUE(ImportKeyFile(folder_, exports_ / "k.key").ok());
 }
 
 }  // namespace

@@ -7,9 +7,12 @@
 #include "db/care/incoming.h"
 #include "db/catalogue/consent.h"
 #include "db/catalogue/manifest.h"
+#include "db/catalogue/read_only_index.h"
 #include "db/ledger/ledger.h"
+#include "db/privacy/disclosure.h"
 #include "tests/db/privacy/raw_bytes.h"
 #include "tests/db/store_fixture.h"
+#include "tests/support/run_program.h"
 
 namespace stratalux::db {
 namespace {
@@ -112,7 +115,7 @@ class LeftoverTest : public RetentionTest {
     std::vector<std::string> ids;
     const auto due = DueIncoming(folder_, classes, {WallNow().ns + days * kDay});
     EXPECT_TRUE(due.ok()) << due.status().message();
-    for (const DueSession& session : *due) ids.push_back(session.id);
+    for (const DueSession& session : due->sessions) ids.push_back(session.id);
     return ids;
   }
 };
@@ -153,6 +156,53 @@ TEST_F(LeftoverTest, AWithdrawalMakesItDueWhateverItsClass) {
   Lay(IncomingFolder(folder_, "s1-a"), "s1-a", Retention::kKeep);
   ASSERT_TRUE(AppendToLedger(folder_, {LedgerKind::kWithdrawal, WallNow(), {"s1-a"}, "", ""}).ok());
   EXPECT_THAT(LeftAfter(0), ::testing::ElementsAre("s1-a"));
+}
+
+// Killed between the ledger's entry and the index.
+TEST_F(RetentionTest, AWithdrawalThatStandsInTheLedgerAloneIsDueAndHidesThePictures) {
+  ASSERT_TRUE(GiveConsent(folder_, "v-1", {"1", "de", true, false, false, {}}).ok());
+  SessionInfo info;
+  info.visitor = "v-1";
+  info.retention = Retention::kKeep;
+  const std::string mine = Store(info);
+  const auto shown = [&] {
+    auto index = ReadOnlyIndex::Open(folder_);
+    return index.ok() ? MayBeShown(folder_, *index, mine) : index.status();
+  };
+  EXPECT_TRUE(shown().ok()) << shown().message();
+  EXPECT_THAT(DueAfter(0), IsEmpty());
+  ASSERT_TRUE(AppendToLedger(folder_, {LedgerKind::kWithdrawal, WallNow(), {mine}, "", ""}).ok());
+  EXPECT_EQ(shown().code(), StatusCode::kUsage);
+  ASSERT_THAT(DueAfter(0), ::testing::ElementsAre(mine));
+  EXPECT_THAT(DueSessions(folder_, {}, WallNow())->front().reason, HasSubstr("withdrawn"));
+}
+
+// A session that its entry does not name, made under the same consent: the index alone tells, once it follows.
+TEST_F(RetentionTest, APurgeFollowsTheLedgerFirst) {
+  ASSERT_TRUE(GiveConsent(folder_, "v-1", {"1", "de", true, false, false, {7'000}}).ok());
+  SessionInfo info;
+  info.visitor = "v-1";
+  info.consent = {"1", "de", true, false, false, {7'000}};
+  const std::string mine = Store(info);
+  ASSERT_TRUE(AppendToLedger(folder_, {LedgerKind::kWithdrawal, WallNow(), {}, "", WithdrawalDetail({{7'000}})}).ok());
+  const Outcome purged = Execute("stratalux-db purge --store " + folder_.string());
+  EXPECT_EQ(purged.code, 0) << purged.out;
+  EXPECT_THAT(purged.out, HasSubstr(mine + ": gone"));
+}
+
+TEST_F(LeftoverTest, TheManifestOfANewerProgramMakesNothingDueAndIsNamed) {
+  Lay(IncomingFolder(folder_, "s1-a"), "s1-a", Retention::kKeep);
+  WriteText(IncomingFolder(folder_, "s1-a") / "manifest.json", R"({"schema": 4711})");
+  EXPECT_THAT(LeftAfter(36500), IsEmpty());
+  const auto due = DueIncoming(folder_, {}, {WallNow().ns + 36500 * kDay});
+  ASSERT_TRUE(due.ok()) << due.status().message();
+  EXPECT_THAT(due->newer, ::testing::ElementsAre(::testing::AllOf(HasSubstr("s1-a"), HasSubstr("newer"))));
+  const Outcome purged = Execute("stratalux-db purge --now 2150-01-01 --store " + folder_.string());
+  EXPECT_EQ(purged.code, 0) << purged.out;
+  EXPECT_THAT(purged.out, HasSubstr("of a newer program, not purged"));
+  EXPECT_TRUE(std::filesystem::exists(IncomingFolder(folder_, "s1-a")));
+  ASSERT_TRUE(AppendToLedger(folder_, {LedgerKind::kWithdrawal, WallNow(), {"s1-a"}, "", ""}).ok());
+  EXPECT_THAT(LeftAfter(0), ::testing::ElementsAre("s1-a")) << "withdrawn, whatever it is";
 }
 
 }  // namespace

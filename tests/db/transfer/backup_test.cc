@@ -1,9 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 // Backup: one damaged session is named and the others are copied; copies are reread in turn; a run that is broken off
 // leaves a whole backup and is continued.
+#include <csignal>
 #include <fstream>
 
 #include <nlohmann/json.hpp>
+#include <sys/resource.h>
+#include <sys/wait.h>
+#include <unistd.h>
 
 #include "db/base/sqlite.h"
 #include "db/care/reindex.h"
@@ -382,6 +386,57 @@ TEST_F(BackupTest, ABackupOfALaterVersionIsLeftAlone) {
   WriteText(backup_ / "backup.json", list.dump());
   EXPECT_EQ(BackUp().status().code(), StatusCode::kNewerSchema);
   EXPECT_EQ(List(), list);
+}
+
+TEST_F(BackupTest, ACopyOfTheKeysThatFailsLeavesNothingOfThem) {
+  StoreSession(1, {.encryption = Encryption::kPerSession});
+  {
+    auto keys = Connection::Open(folder_ / "keys.sqlite", Connection::Mode::kReadWrite);
+    ASSERT_TRUE(keys.ok()) << keys.status().message();
+    const Status filled = keys->Execute(
+        "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 16000)"
+        " INSERT INTO keys SELECT randomblob(16), randomblob(32), i FROM n");
+    ASSERT_TRUE(filled.ok()) << filled.message();
+  }
+  const auto copy = far_ / "keys.copy", part = far_ / "keys.copy.part";
+  constexpr rlim_t kMost = 256 << 10;
+  ASSERT_GT(std::filesystem::file_size(folder_ / "keys.sqlite"), 2 * kMost);
+  const pid_t child = fork();
+  ASSERT_GE(child, 0);
+  if (child == 0) {
+    std::signal(SIGXFSZ, SIG_IGN);
+    const rlimit limit{kMost, kMost};
+    setrlimit(RLIMIT_FSIZE, &limit);
+    _exit(Backup(folder_, {backup_, copy, ScrubShare::kInTurn}, logger_).ok() ? 1 : 0);
+  }
+  int status = 0;
+  ASSERT_EQ(waitpid(child, &status, 0), child);
+  EXPECT_EQ(status, 0);
+  EXPECT_FALSE(std::filesystem::exists(copy));
+  EXPECT_FALSE(std::filesystem::exists(part));
+  const auto made = Backup(folder_, {backup_, copy, ScrubShare::kInTurn}, logger_);
+  ASSERT_TRUE(made.ok()) << made.status().message();
+  EXPECT_TRUE(std::filesystem::exists(copy));
+}
+
+TEST_F(BackupTest, WhatAKilledCopyOfTheKeysLeftIsOverwritten) {
+  StoreSession(1, {.encryption = Encryption::kPerSession});
+  const auto copy = far_ / "keys.copy", part = far_ / "keys.copy.part";
+  WriteText(part, "keys");
+  std::filesystem::permissions(part, static_cast<std::filesystem::perms>(0644));
+  const auto refused = Backup(folder_, {backup_, copy, ScrubShare::kInTurn}, logger_);
+  EXPECT_EQ(refused.status().code(), StatusCode::kUsage) << "none of ours has this mode";
+  EXPECT_THAT(refused.status().message(), HasSubstr(part.string()));
+  EXPECT_EQ(ReadFile(part).value(), "keys");
+  std::filesystem::permissions(part, static_cast<std::filesystem::perms>(0600));
+  std::ifstream held(part);
+  const auto made = Backup(folder_, {backup_, copy, ScrubShare::kInTurn}, logger_);
+  ASSERT_TRUE(made.ok()) << made.status().message();
+  std::string left(4, '?');
+  held.read(left.data(), 4);
+  EXPECT_EQ(left, std::string(4, '\0'));
+  EXPECT_TRUE(std::filesystem::exists(copy));
+  EXPECT_FALSE(std::filesystem::exists(part));
 }
 
 }  // namespace

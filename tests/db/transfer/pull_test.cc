@@ -8,9 +8,11 @@
 #include "db/care/reindex.h"
 #include "db/care/verify.h"
 #include "db/catalogue/consent.h"
+#include "db/keys/sealed_key.h"
 #include "db/ledger/ledger.h"
 #include "db/ledger/ledger_folder.h"
 #include "db/privacy/forget.h"
+#include "shared/base/read_file.h"
 #include "tests/db/transfer/transfer_fixture.h"
 
 namespace stratalux::db {
@@ -422,6 +424,35 @@ TEST_F(PullTest, KilledAnywhereItGoesOnWithoutLossAndWithoutDoubles) {
     EXPECT_THAT(ListIncoming(other_), IsEmpty()) << i;
   }
   EXPECT_LT(ended, 6) << "no kill met a running pull";
+}
+
+// The source answers three times; by then one session of two is here.
+TEST_F(PullTest, AWithdrawalBindsWhatCameBeforeTheSourceWentAway) {
+  const std::string first = StoreSession(1);
+  StoreSession(1);
+  ASSERT_TRUE(AppendToLedger(folder_, {LedgerKind::kWithdrawal, WallNow(), {first}, "", ""}).ok());
+  MakeSsh("[ $(wc -l < " + (far_ / "ssh.log").string() + ") -lt 4 ] || exit 255");
+  EXPECT_EQ(PullOverSsh().status().code(), StatusCode::kFailed);
+  ASSERT_EQ(Ids(other_), std::vector{first});
+  const auto consents = ListConsents(other_, kSimulatedVisitor);
+  ASSERT_TRUE(consents.ok());
+  ASSERT_THAT(*consents, SizeIs(1));
+  EXPECT_TRUE(consents->front().withdrawn.has_value());
+}
+
+// Longer than any record: one such file kept every session away.
+TEST_F(PullTest, ASealedKeyThatIsTooLargeConcernsItsSessionAlone) {
+  const std::string first = StoreSession(1);
+  ASSERT_TRUE(PullHere().ok());
+  const auto large = SealedKeyFile(folder_ / "sessions" / first, ReaderId{});
+  WriteText(large, "SLXSKEY");
+  std::filesystem::resize_file(large, kMostRecordBytes + 1);
+  const std::string second = StoreSession(1);
+  const auto pulled = PullHere();
+  ASSERT_TRUE(pulled.ok()) << pulled.status().message();
+  EXPECT_THAT(pulled->problems, ElementsAre(AllOf(HasSubstr(first), HasSubstr("a sealed key was not fetched"),
+                                                  HasSubstr(std::to_string(kMostRecordBytes + 1)))));
+  EXPECT_THAT(pulled->sessions, ElementsAre(second));
 }
 
 }  // namespace

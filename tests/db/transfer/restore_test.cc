@@ -275,5 +275,36 @@ TEST_F(RestoreTest, KilledAnywhereItGoesOn) {
   EXPECT_LT(ended, 15) << "no kill met a running restore";
 }
 
+// Broken off behind a session's move; who continues it names a ledger that forgets that session by now.
+TEST_F(RestoreTest, AContinuedOneTakesBackWhomANewerLedgerForgets) {
+  const std::string gone = StoreSession(2), stays = StoreSession(1);
+  BackUp();
+  ASSERT_TRUE(RestoreNew().ok());
+  for (const char* suffix : {"", "-wal", "-shm"})
+    std::filesystem::remove(other_ / ("index.sqlite" + std::string(suffix)));
+  WriteText(other_ / "restore.unfinished", "");
+  ForgetInLedger(far_ / "elsewhere", gone);
+  const auto restored = RestoreNew((far_ / "elsewhere").string());
+  ASSERT_TRUE(restored.ok()) << restored.status().message();
+  EXPECT_THAT(restored->problems, IsEmpty());
+  EXPECT_EQ(restored->forgotten, 1);
+  EXPECT_EQ(Ids(other_), std::vector{stays});
+  EXPECT_FALSE(std::filesystem::exists(other_ / "sessions" / gone));
+}
+
+// Its rows are gone, its pictures are not.
+TEST_F(RestoreTest, AMergeNamesTheFolderOfAForgottenSessionThatNoIndexLists) {
+  const std::string id = StoreSession(1);
+  BackUp();
+  ASSERT_TRUE(SessionStore::Create(other_).ok());
+  ForgetInLedger(other_, id);
+  std::filesystem::create_directories(other_ / "sessions" / id);
+  WriteText(other_ / "sessions" / id / "frames-0001.seg", "a face");
+  const auto merged = RestoreMerged();
+  ASSERT_TRUE(merged.ok()) << merged.status().message();
+  EXPECT_THAT(merged->problems, ElementsAre(HasSubstr("forget " + id)));
+  EXPECT_TRUE(std::filesystem::exists(other_ / "sessions" / id)) << "people decide";
+}
+
 }  // namespace
 }  // namespace stratalux::db
