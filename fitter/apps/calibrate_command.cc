@@ -175,9 +175,25 @@ Result<std::optional<RigCalibration>> KnownRig(const CalibrateFlags& f,
   return std::optional(record);
 }
 
-// `light`: sessions of it are there, too.
-std::vector<Finding> Judge(const BoardPoses& boards, const std::optional<RigCalibration>& known,
-                           const GeometryReport& report, bool light) {
+// What keeps the light that no session measures.
+struct EarlierLight {
+  std::optional<RigCalibration> record;
+  std::string name;  // LightReport::earlier; empty: there is none
+};
+
+// The boards' own record, else --known-rig's, unless that is of another camera or other projectors.
+EarlierLight FindEarlierLight(const CalibrateFlags& f, const BoardPoses& boards,
+                              const std::optional<RigCalibration>& known) {
+  if (boards.calibration) return {boards.calibration, "the earlier record"};
+  const CalibrationObservations& o = boards.observations;
+  if (!known || known->camera.model.width != o.camera.width || known->camera.model.height != o.camera.height ||
+      known->projectors.size() != o.projectors.size())
+    return {};
+  return {known, "--known-rig " + f.known_rig};
+}
+
+std::vector<Finding> Judge(const std::vector<std::string>& left_out, const std::optional<RigCalibration>& known,
+                           const GeometryReport& report) {
   std::vector<Finding> findings = JudgeCalibration(report);
   if (known) {
     const auto more = CompareWithKnownRig(RigGeometry::From(*known), report);
@@ -187,13 +203,7 @@ std::vector<Finding> Judge(const BoardPoses& boards, const std::optional<RigCali
                         "no earlier calibration of this rig: the size of the squares is taken on trust",
                         "measure it twice, or name a record with --known-rig"});
   }
-  // Nothing to keep either: the record holds placeholders.
-  if (!boards.calibration && !light)
-    findings.push_back({Severity::kWarning,
-                        "the light was never measured: black level 0, gain 1, no responses, vignetting or fall-off",
-                        "capture dark, flat and response, and calibrate with their sessions before the first visitor"});
-  for (const std::string& pose : boards.left_out)
-    findings.push_back({Severity::kWarning, pose, "the pose was left out"});
+  for (const std::string& pose : left_out) findings.push_back({Severity::kWarning, pose, "the pose was left out"});
   return findings;
 }
 
@@ -242,10 +252,35 @@ Result<SessionsByUse> SortByUse(const CalibrateFlags& f, const std::vector<std::
   return sorted;
 }
 
+// Nothing to keep: the record holds placeholders.
+Finding NeverMeasured(const LightReport& light) {
+  std::string what = "the light was never measured: black level 0, gain 1, no responses, vignetting or fall-off";
+  if (!light.sessions.empty()) {
+    what = "part of the light was never measured";
+    for (const std::string& part : light.carried_over) what += "; " + part;
+  }
+  return {Severity::kWarning, what,
+          "capture dark, flat and response, and calibrate with their sessions before the first visitor"};
+}
+
+// Without a session of light all of it is as the earlier record (EarlierLight::name) has it.
+void AddNoLight(const std::string& earlier, CalibrationPage& page, nlohmann::ordered_json& json, std::string& text) {
+  LightReport light;
+  light.earlier = earlier;
+  light.carried_over = {
+      "all light (levels, noise, responses, vignetting, fall-off, white scale, blur): no session of "
+      "kind dark, flat or response"};
+  if (earlier.empty()) page.findings.push_back(NeverMeasured(light));
+  json["light"] = nlohmann::ordered_json::parse(LightJson(light));
+  text += LightText(light);
+}
+
 // Of the light sessions on the page's geometry: record, figures and findings added to what is there.
-Status AddLight(const CalibrateFlags& f, const SessionsByUse& sessions, CalibrationPage& page,
-                nlohmann::ordered_json& json, std::string& text, Logger& logger) {
+Status AddLight(const CalibrateFlags& f, const SessionsByUse& sessions, const std::string& earlier,
+                CalibrationPage& page, nlohmann::ordered_json& json, std::string& text, Logger& logger) {
   SLX_ASSIGN_OR_RETURN(auto light, CalibrateLight(f.store, sessions.light, page.record, f.light, logger));
+  light.report.earlier = earlier;
+  if (earlier.empty() && !light.report.carried_over.empty()) page.findings.push_back(NeverMeasured(light.report));
   page.record = std::move(light.record);
   page.sessions.insert(page.sessions.end(), sessions.light.begin(), sessions.light.end());
   page.findings.insert(page.findings.end(), light.report.findings.begin(), light.report.findings.end());
@@ -269,7 +304,8 @@ Result<int> CalibrateLightAlone(const CalibrateFlags& f, const SessionsByUse& se
   page.record.source = "light calibration session " + sessions.light.back();
   nlohmann::ordered_json json = {{"schema", 1}};
   std::string text;
-  SLX_RETURN_IF_ERROR(AddLight(f, sessions, page, json, text, logger));
+  const std::string earlier = f.known_rig.empty() ? "the earlier record" : "--known-rig " + f.known_rig;
+  SLX_RETURN_IF_ERROR(AddLight(f, sessions, earlier, page, json, text, logger));
   return Conclude(f, page, json, text, 0, logger);
 }
 
@@ -287,15 +323,18 @@ Result<int> Calibrate(CalibrateFlags& f, Logger& logger) {
   }
   const GeometryReport& report = *calibrated;
   SLX_ASSIGN_OR_RETURN(const auto known, KnownRig(f, boards.calibration));
-  CalibrationPage page{boards.sessions, Judge(boards, known, report, !by_use.light.empty()), &report, known};
-  page.record =
-      ToRecord(report, boards.calibration, "calibration session " + boards.sessions.back(), boards.saturation_dn);
+  std::vector<std::string> left_out = boards.left_out;
+  left_out.insert(left_out.end(), report.left_out.begin(), report.left_out.end());
+  CalibrationPage page{boards.sessions, Judge(left_out, known, report), &report, known};
+  const EarlierLight earlier = FindEarlierLight(f, boards, known);
+  page.record = ToRecord(report, earlier.record, "calibration session " + boards.sessions.back(), boards.saturation_dn);
   if (!boards.calibration) page.record.camera.cfa = by_use.cfa;
   page.record.made_wall = page.record.valid_until_wall = {};  // not those of the record before
-  nlohmann::ordered_json json = nlohmann::ordered_json::parse(ReportJson(report, page.findings, boards.left_out));
+  nlohmann::ordered_json json = nlohmann::ordered_json::parse(ReportJson(report, page.findings, left_out));
   std::string text = ReportText(report);
-  if (!by_use.light.empty()) SLX_RETURN_IF_ERROR(AddLight(f, by_use, page, json, text, logger));
-  const int accepted = boards.left_out.empty() ? 0 : static_cast<int>(StatusCode::kDegraded);
+  if (by_use.light.empty()) AddNoLight(earlier.name, page, json, text);
+  if (!by_use.light.empty()) SLX_RETURN_IF_ERROR(AddLight(f, by_use, earlier.name, page, json, text, logger));
+  const int accepted = left_out.empty() ? 0 : static_cast<int>(StatusCode::kDegraded);
   return Conclude(f, page, json, text, accepted, logger);
 }
 
@@ -349,8 +388,10 @@ void AddCalibrateCommand(CLI::App& app, int& exit_code) {
   verb->add_option("--distortion", flags->distortion, "auto (chosen by held-out poses), k1, k1k2, full")
       ->capture_default_str();
   verb->add_option("--known-camera", flags->known_camera, "Record (JSON) whose camera intrinsics are kept");
-  verb->add_option("--known-rig", flags->known_rig,
-                   "Record (JSON) of the same box, to check size and cables (default: the sessions' own)");
+  verb->add_option(
+      "--known-rig", flags->known_rig,
+      "Record (JSON) of the same box, to check size and cables, and to keep light that no session measures "
+      "(default: the sessions' own)");
   verb->add_option("--target-albedo", flags->light.target_albedo,
                    "Diffuse albedo of the flat sessions' matt target, as given in its certificate")
       ->check(CLI::Range(0.01, 1.2))

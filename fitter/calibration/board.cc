@@ -21,6 +21,9 @@ Status BoardDescription::Validate() const {
   what << "board of " << columns << "x" << rows << " squares of " << square_mm << " mm: ";
   if (columns < 3 || rows < 3 || columns > 100 || rows > 100)
     return Status::Usage(what.str() + "needs 3 to 100 squares each way");
+  if (corners() < kLeastCorners)
+    return Status::Usage(what.str() + "has " + std::to_string(corners()) + " inner corners, of which a pose needs " +
+                         std::to_string(kLeastCorners));
   if (!(square_mm > 0.0)) return Status::Usage(what.str() + "the square's side must be positive");
   if (kind == BoardKind::kChess) return Status::Ok();
   if (!(marker_mm > 0.0 && marker_mm < square_mm))

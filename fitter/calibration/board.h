@@ -13,6 +13,9 @@ enum class BoardKind { kChess, kCharuco };
 [[nodiscard]] const char* ToString(BoardKind kind);
 [[nodiscard]] Result<BoardKind> ParseBoardKind(const std::string& text);
 
+// That a device must see of a board to place it in a pose.
+inline constexpr int kLeastCorners = 6;
+
 // Board frame: origin at the first inner corner, +x along a row of corners, +y along a column, +z into the board, mm.
 struct BoardDescription {
   BoardKind kind = BoardKind::kCharuco;
@@ -20,7 +23,8 @@ struct BoardDescription {
   double square_mm = 20.0;
   double marker_mm = 15.0;  // ChArUco: side of a marker
 
-  // kUsage: fewer than 3 squares a side, a size that is not positive, a marker that does not fit, too many markers.
+  // kUsage: fewer than 3 squares a side or kLeastCorners, a size that is not positive, a marker that does not fit, too
+  // many markers.
   [[nodiscard]] Status Validate() const;
   [[nodiscard]] int corner_columns() const { return columns - 1; }
   [[nodiscard]] int corners() const { return (columns - 1) * (rows - 1); }

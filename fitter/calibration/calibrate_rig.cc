@@ -14,6 +14,7 @@ namespace stratalux::fit {
 namespace {
 
 constexpr int kRejectRounds = 3;
+constexpr size_t kLeastPoses = 3;
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
 BundleOptions BundleOptionsFor(const CalibrateOptions& options, DistortionModel model) {
@@ -59,19 +60,34 @@ std::vector<RejectedCorner> Reject(const BundleReport& report, double limit_sigm
   return rejected;
 }
 
-// Adjusts, rejects, adjusts again until nothing more goes.
-Result<BundleReport> AdjustWithRejection(CalibrationObservations& used, const Bundle& start,
-                                         const BundleOptions& bundle_options, double reject_sigmas,
-                                         std::vector<RejectedCorner>& rejected) {
-  SLX_ASSIGN_OR_RETURN(BundleReport report, AdjustBundle(used, start, bundle_options));
-  for (int round = 0; round < kRejectRounds; ++round) {
-    const auto more = Reject(report, reject_sigmas, used);
-    if (more.empty()) break;
-    rejected.insert(rejected.end(), more.begin(), more.end());
-    const Bundle warm = report.bundle;
-    SLX_ASSIGN_OR_RETURN(report, AdjustBundle(used, warm, bundle_options));
+// Poses of which too little is left to place their boards go, and the boards with them.
+void LeaveOutPoses(CalibrationObservations& used, Bundle& bundle, std::vector<std::string>& left_out) {
+  for (size_t k = used.poses.size(); k-- > 0;) {
+    const PoseObservation& pose = used.poses[k];
+    if (pose.corners.size() >= size_t{kLeastCorners}) continue;
+    left_out.push_back(pose.name +
+                       ": nearly all of its corners contradict the other poses; the board moved in it, or a "
+                       "projector did: capture this pose again");
+    used.poses.erase(used.poses.begin() + static_cast<std::ptrdiff_t>(k));
+    bundle.camera_from_board.erase(bundle.camera_from_board.begin() + static_cast<std::ptrdiff_t>(k));
   }
-  return report;
+}
+
+// Adjusts, rejects, adjusts again until nothing more goes. What went is in `report`.
+Result<BundleReport> AdjustWithRejection(const Bundle& start, const BundleOptions& bundle_options, double reject_sigmas,
+                                         GeometryReport& report) {
+  SLX_ASSIGN_OR_RETURN(BundleReport adjusted, AdjustBundle(report.used, start, bundle_options));
+  for (int round = 0; round < kRejectRounds; ++round) {
+    const auto more = Reject(adjusted, reject_sigmas, report.used);
+    if (more.empty()) break;
+    report.rejected.insert(report.rejected.end(), more.begin(), more.end());
+    Bundle warm = adjusted.bundle;
+    LeaveOutPoses(report.used, warm, report.left_out);
+    if (report.used.poses.size() < kLeastPoses)
+      return Status::Failed("the poses contradict each other; " + report.left_out.front());
+    SLX_ASSIGN_OR_RETURN(adjusted, AdjustBundle(report.used, warm, bundle_options));
+  }
+  return adjusted;
 }
 
 HeldOutPose Failed(const CalibrationObservations& observations, size_t k) {
@@ -148,6 +164,15 @@ void Cover(const CalibrationObservations& o, GeometryReport& report) {
   }
 }
 
+// Intrinsics of another picture size (binned, cropped) would be kept as they are, and all else bent to them.
+Status CheckKnownCamera(const std::optional<Pinhole>& known, const DeviceSize& camera) {
+  if (!known || (known->width == camera.width && known->height == camera.height)) return Status::Ok();
+  return Status::Usage("known camera: its pictures have " + std::to_string(known->width) + "x" +
+                       std::to_string(known->height) + " pixels, those of the sessions' camera " +
+                       std::to_string(camera.width) + "x" + std::to_string(camera.height) +
+                       "; give the record of this camera");
+}
+
 void Measure(GeometryReport& report) {
   const CalibrationObservations& o = report.used;
   report.training_total = report.epipolar = DeviceErrors(1 + o.projectors.size());
@@ -193,14 +218,14 @@ std::optional<HeldOutPose> FitPose(const RigGeometry& rig, const std::vector<dou
 
 Result<GeometryReport> CalibrateRig(const CalibrationObservations& observations, const CalibrateOptions& options) {
   SLX_RETURN_IF_ERROR(options.Validate());
+  SLX_RETURN_IF_ERROR(CheckKnownCamera(options.known_camera, observations.camera));
   SLX_ASSIGN_OR_RETURN(const Bundle start, StartBundle(observations, options.known_camera));
   GeometryReport report;
   report.used = observations;
   // Bad corners go by the richest model, which no good corner contradicts; then all models see the same ones.
   const DistortionModel richest = options.distortion.value_or(DistortionModel::kFull);
   SLX_ASSIGN_OR_RETURN(BundleReport adjusted,
-                       AdjustWithRejection(report.used, start, BundleOptionsFor(options, richest),
-                                           options.reject_sigmas, report.rejected));
+                       AdjustWithRejection(start, BundleOptionsFor(options, richest), options.reject_sigmas, report));
   std::vector<FittedModel> fitted;
   for (const DistortionModel model : {DistortionModel::kK1, DistortionModel::kK1K2, DistortionModel::kFull}) {
     if (options.distortion && *options.distortion != model) continue;

@@ -16,7 +16,7 @@
 namespace stratalux::fit {
 
 struct CalibrateOptions {
-  std::optional<Pinhole> known_camera{};        // intrinsics that stay
+  std::optional<Pinhole> known_camera{};        // intrinsics that stay; of the observations' picture size
   std::optional<DistortionModel> distortion{};  // unset: chosen by the held-out error
   // Of the models whose held-out error exceeds the least by no more than this share, the richest.
   double richer_within = 0.01;
@@ -56,7 +56,8 @@ struct GeometryReport {
   std::vector<HeldOutPose> held_out;
   DeviceErrors held_out_total;
   std::vector<RejectedCorner> rejected;
-  int corners = 0;  // that were used, in the camera, over all poses
+  std::vector<std::string> left_out;  // poses of which rejection left fewer than kLeastCorners: name, cause, remedy
+  int corners = 0;                    // that were used, in the camera, over all poses
   // Share of the picture that corners cover, by device: cells of an 8 x 6 grid with at least one corner.
   std::vector<double> coverage;
   std::vector<std::vector<int>> coverage_map;  // corners in each of the 48 cells, row by row
@@ -66,7 +67,8 @@ struct GeometryReport {
 
 inline constexpr int kCoverageColumns = 8, kCoverageRows = 6;
 
-// kUsage for options; kFailed names the device or pose in the way. Reentrant; the same bits each time.
+// kUsage for options, and a known camera of another size; kFailed names the device or pose in the way. Reentrant; the
+// same bits each time.
 [[nodiscard]] Result<GeometryReport> CalibrateRig(const CalibrationObservations& observations,
                                                   const CalibrateOptions& options = {});
 

@@ -9,7 +9,6 @@
 namespace stratalux::fit {
 namespace {
 
-constexpr size_t kLeastCorners = 6;  // of a pose, in a device
 constexpr int kCamera = -1;
 
 struct DeviceView {
@@ -35,7 +34,7 @@ DeviceView ViewOf(const CalibrationObservations& observations, int device) {
       board.push_back(OnBoard(observations.board, corner.corner));
       pixels.emplace_back(static_cast<float>(seen->x()), static_cast<float>(seen->y()));
     }
-    if (board.size() < kLeastCorners) continue;
+    if (board.size() < size_t{kLeastCorners}) continue;
     view.poses.push_back(k);
     view.board.push_back(std::move(board));
     view.pixels.push_back(std::move(pixels));

@@ -101,7 +101,7 @@ std::string LightJson(const LightReport& report) {
                              {"residual", f.residual}});
   json["projectors"] = Json::array();
   for (const ProjectorLightReport& p : report.projectors) json["projectors"].push_back(ProjectorJson(p));
-  json["carried_over"] = report.carried_over;
+  json[report.earlier.empty() ? "never_measured" : "carried_over"] = report.carried_over;
   return json.dump(1, ' ', false, Json::error_handler_t::replace);
 }
 
@@ -129,7 +129,8 @@ std::string LightText(const LightReport& report) {
         Formatted("  flat, session %s: %.0f mm away, tilt %.1f degrees, flat to %.2f mm, light explained to %.2f %%\n",
                   f.session.c_str(), f.distance_mm, f.tilt_deg, f.plane_rms_mm, 100.0 * f.residual);
   for (const ProjectorLightReport& p : report.projectors) AppendProjector(text, p);
-  for (const std::string& kept : report.carried_over) text += "  kept from the earlier record: " + kept + "\n";
+  const std::string why = report.earlier.empty() ? "  never measured: " : "  kept from " + report.earlier + ": ";
+  for (const std::string& kept : report.carried_over) text += why + kept + "\n";
   return text;
 }
 

@@ -14,7 +14,8 @@ namespace stratalux::fit {
 // "vignetting", "vignetting_sd", "camera_blur_px", "flats": [{"session", "tilt_deg", "distance_mm", "plane_rms_mm",
 // "lit_share", "residual"}], "projectors": [{"name", "response", "largest_deviation", "lamp_drift", "worst_fall",
 // "falloff", "falloff_sd", "white_dn_mm2_per_ms", "black_level", "line_blur_px", "line": {"width_px", "measured_px",
-// "mm", "fwhm_mm", "offset_px", "light"}}], "carried_over": [text]}. What no session told is absent.
+// "mm", "fwhm_mm", "offset_px", "light"}}], "carried_over": [text], or "never_measured": [text] where there was no
+// record before}. What no session told is absent.
 [[nodiscard]] std::string LightJson(const LightReport& report);
 
 // The same for people, some lines; without the findings.

@@ -98,7 +98,9 @@ struct LightReport {
   std::vector<FlatPoseReport> flats;
   std::vector<ProjectorLightReport> projectors;
   std::vector<std::string> carried_over;  // what stays as the record before had it, and why
-  std::vector<Finding> findings;          // with the session and the remedy in each
+  // What that record is called; empty: there is none, and what is carried over are the record's defaults.
+  std::string earlier = "the earlier record";
+  std::vector<Finding> findings;  // with the session and the remedy in each
 };
 
 }  // namespace stratalux::fit

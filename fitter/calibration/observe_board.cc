@@ -128,7 +128,7 @@ Result<std::vector<BoardCorner>> FindStillBoard(const std::vector<ProjectorPictu
                                                    "'s white frame is saturated: shorten the exposure");
     return corners.status();
   }
-  const auto least = static_cast<size_t>(options.min_corners * board.corners());
+  const auto least = static_cast<size_t>(std::max<double>(options.min_corners * board.corners(), kLeastCorners));
   if (corners->size() < least)
     return Status::NotFound("only " + std::to_string(corners->size()) + " of the board's " +
                             std::to_string(board.corners()) + " corners were found; show more of it");

@@ -21,7 +21,7 @@ namespace stratalux::fit {
 struct ObserveOptions {
   double max_motion_px = 0.25;         // of the corners' median between two pictures of a pose
   double max_saturated = 0.02;         // share of the samples about the corners
-  double min_corners = 0.5;            // share of the board's corners that the camera must see
+  double min_corners = 0.5;            // share of the board's corners that the camera must see, and kLeastCorners
   double min_projector_corners = 0.7;  // share of those that a projector must light, else it sits the pose out
 };
 

@@ -4,6 +4,9 @@
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
+#include <compare>
+#include <map>
+#include <string>
 
 #include "shared/base/formatted.h"
 #include "shared/base/median.h"
@@ -85,6 +88,13 @@ void JudgeTilts(const GeometryReport& report, const VerdictOptions& options, Fin
 }
 
 void JudgeHeldOut(const GeometryReport& report, const VerdictOptions& options, Findings& findings) {
+  bool placed = true;
+  for (const HeldOutPose& pose : report.held_out) {
+    if (std::isfinite(pose.surprise)) continue;
+    placed = false;
+    findings.Refuse(pose.name + ": no place of the board fits what the other poses say", "capture this pose again");
+  }
+  if (!placed) return;  // the figures are infinite
   for (size_t d = 0; d < report.sigma_px.size(); ++d) {
     const double training = report.training_total.Rms(d), held_out = report.held_out_total.Rms(d);
     if (held_out <= options.max_held_out_ratio * training + options.negligible_px) continue;
@@ -113,6 +123,24 @@ void JudgeSpread(const GeometryReport& report, const VerdictOptions& options, Fi
     }
 }
 
+// The pose with the most rejected corners; of those alike, the one whose worst corner is worse.
+std::string WorstPose(const std::vector<RejectedCorner>& rejected) {
+  struct Amount {
+    int corners = 0;
+    double sigmas = 0.0;
+    auto operator<=>(const Amount&) const = default;
+  };
+  std::map<std::string, Amount> poses;
+  for (const RejectedCorner& corner : rejected) {
+    Amount& amount = poses[corner.pose];
+    ++amount.corners;
+    amount.sigmas = std::max(amount.sigmas, corner.sigmas);
+  }
+  const auto worst =
+      std::max_element(poses.begin(), poses.end(), [](const auto& a, const auto& b) { return a.second < b.second; });
+  return worst == poses.end() ? "" : worst->first;
+}
+
 void JudgeAmounts(const GeometryReport& report, const VerdictOptions& options, Findings& findings) {
   const int poses = static_cast<int>(report.used.poses.size());
   if (poses < options.min_poses)
@@ -123,7 +151,7 @@ void JudgeAmounts(const GeometryReport& report, const VerdictOptions& options, F
                           std::max<double>(report.corners + static_cast<double>(report.rejected.size()), 1.0);
   if (rejected > options.max_rejected)
     findings.Refuse(Formatted("%.0f %% of the corners contradict the others; the worst lie in %s", 100.0 * rejected,
-                              report.rejected.front().pose.c_str()),
+                              WorstPose(report.rejected).c_str()),
                     "capture these poses again: the board moved, is bent, or shines");
   for (size_t d = 0; d < report.coverage.size(); ++d)
     if (report.coverage[d] < options.advised_coverage)

@@ -310,14 +310,15 @@ Status TriangulateOptions::Validate() const {
   return Status::Ok();
 }
 
-std::string WhyNoSurface(const TriangulationCounts& counts) {
+std::string WhyNoSurface(const TriangulationCounts& counts, int64_t unsmoothed) {
   std::vector<std::pair<int64_t, std::string>> gates = {
       {counts.undecoded, "pixels that no projector's code reached"},
       {counts.inconsistent, "pixels whose projectors contradict each other (is this the rig's calibration?)"},
       {counts.uncertain, "pixels whose depth is too uncertain (projector and camera too close, codes too coarse)"},
       {counts.lone, "lone pixels"},
       {counts.mixed, "quads across an edge"},
-      {counts.islands, "quads in islands"}};
+      {counts.islands, "quads in islands"},
+      {unsmoothed, "quads without neighbours"}};
   std::stable_sort(gates.begin(), gates.end(), [](const auto& a, const auto& b) { return a.first > b.first; });
   std::string text;
   for (const auto& [count, what] : gates)

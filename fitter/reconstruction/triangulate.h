@@ -37,8 +37,9 @@ struct TriangulationCounts {
   int64_t mixed = 0;           // quads dropped whose sites lie on two surfaces
   int64_t islands = 0;         // quads dropped with small components
 };
-// For an error where nothing is left: which gate took how much of it, the largest first.
-[[nodiscard]] std::string WhyNoSurface(const TriangulationCounts& counts);
+// For an error where nothing is left: which gate took how much of it, the largest first. `unsmoothed`: quads that
+// SmoothSurface dropped.
+[[nodiscard]] std::string WhyNoSurface(const TriangulationCounts& counts, int64_t unsmoothed = 0);
 
 struct Triangulation {
   // On quads, each point where its sites are: not quite in the middle of a quad that has lost some. `normal` is NaN;

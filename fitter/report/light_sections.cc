@@ -245,7 +245,7 @@ std::vector<ReportSection> LightSections(const LightReport& light, const RigCali
                      {}};
   if (!light.flats.empty()) rest.tables.push_back(Flats(light));
   if (!light.carried_over.empty()) {
-    ReportTable kept{"Kept from the earlier record", {"what, and why"}, {}};
+    ReportTable kept{light.earlier.empty() ? "Never measured" : "Kept from " + light.earlier, {"what, and why"}, {}};
     for (const std::string& what : light.carried_over) kept.rows.push_back({what});
     rest.tables.push_back(std::move(kept));
   }

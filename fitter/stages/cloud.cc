@@ -98,7 +98,8 @@ Result<CodedCloud> CloudOf(const std::vector<DecodedMap>& decoded, CodedRig code
   SLX_ASSIGN_OR_RETURN(const auto surface,
                        SmoothSurface(rough.surface, rough.noise_sigma_mm, coded.rig, {}, &made.unsmoothed));
   made.cloud = CloudFromSurface(surface, coded.rig.camera, {});
-  if (made.cloud.positions_mm.empty()) return Status::Failed("no point is left: " + WhyNoSurface(rough.counts));
+  if (made.cloud.positions_mm.empty())
+    return Status::Failed("no point is left: " + WhyNoSurface(rough.counts, made.unsmoothed));
   made.projectors = std::move(coded.projectors);
   return made;
 }

@@ -14,7 +14,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kDecodeVersion = 8;
+inline constexpr int kDecodeVersion = 9;
 
 struct CodeSize {
   // Of the projectors: as plan or import say, or the most that the stored code can number.

@@ -76,11 +76,7 @@ Result<FaceShape> ReconstructShape(std::span<const DecodedMap> decoded, std::spa
   shape.disagreement_mm = std::move(rough.disagreement_mm);
   SLX_ASSIGN_OR_RETURN(shape.surface, SmoothSurface(rough.surface, rough.noise_sigma_mm, rig, {}, &shape.unsmoothed));
   const auto known = std::ranges::count(shape.surface.mask.pixels(), 1);
-  if (known == 0) {
-    std::string why = WhyNoSurface(shape.triangulation);
-    if (shape.unsmoothed > 0) why += ", " + std::to_string(shape.unsmoothed) + " quads without neighbours";
-    return Status::Failed("no surface was found: " + why);
-  }
+  if (known == 0) return Status::Failed("no surface was found: " + WhyNoSurface(shape.triangulation, shape.unsmoothed));
   for (size_t i = 0; i < shape.surface.mask.size(); ++i)
     if (shape.surface.mask.pixels()[i] == 0) shape.disagreement_mm.pixels()[i] = std::nanf("");
   SLX_ASSIGN_OR_RETURN(shape.lit, LitQuads(decoded, separation, shape.surface, rig));

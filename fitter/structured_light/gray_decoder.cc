@@ -88,6 +88,11 @@ class MapDecoder {
     return light.SignalDn() > std::max(options_.min_signal_sigmas * sigma, options_.min_signal_fraction * range);
   }
 
+  // Of a site that is not lit: where white saturates, black hides what light there is.
+  [[nodiscard]] DecodeReason WhyNotLit(size_t site) const {
+    return LightAt(site).white_saturated ? DecodeReason::kSaturated : DecodeReason::kUnlit;
+  }
+
  private:
   [[nodiscard]] AxisMap SiteBySite(const auto& decoder) const {
     const int width = input_.white.width(), height = input_.white.height();
@@ -161,7 +166,7 @@ Result<DecodeReport> DecodeGray(const DecodeInput& input, const SensorNoise& noi
   for (size_t site = 0; site < reasons.size(); ++site) {
     uint8_t reason = columns.reason.data()[site];
     if (reason == 0) reason = rows.reason.data()[site];
-    if (!decoder.IsLit(site)) reason = static_cast<uint8_t>(DecodeReason::kUnlit);
+    if (!decoder.IsLit(site)) reason = static_cast<uint8_t>(decoder.WhyNotLit(site));
     reasons.data()[site] = reason;
     if (reason == 0) continue;
     for (AxisMap* axis : {&columns, &rows}) axis->value.data()[site] = axis->sigma.data()[site] = std::nanf("");

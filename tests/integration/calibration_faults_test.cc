@@ -232,5 +232,39 @@ TEST_F(CalibrationFaults, AVisitorTellsThatAProjectorWasTurned) {
   }
 }
 
+// Boards of another program carry no record: light is kept from --known-rig, or was never measured.
+TEST_F(CalibrationFaults, LightThatNothingTellsIsKeptFromTheKnownRigOrSaidToBeMissing) {
+  const std::string store = Store("bare");
+  ASSERT_EQ(Execute("stratalux-db init --store " + store).code, 0);
+  std::string boards;
+  for (size_t pose = 0; pose < 5; ++pose) {
+    const std::string out = (folder_ / ("bare_" + std::to_string(pose))).string();
+    const Outcome exported =
+        Execute("stratalux-db export " + Session(pose) + " --format tiff --out " + out + " --store " + Store("tilted"));
+    ASSERT_EQ(exported.code, 0) << exported.out;
+    const Outcome import = Execute("stratalux-db import --manifest " + out + "/import.toml --store " + store);
+    ASSERT_EQ(import.code, 0) << import.out;
+    boards += "s00000" + std::to_string(pose + 1) + " ";
+  }
+  Json known = exact_;
+  known["camera"]["gain_e_per_dn"] = 3.25;
+  known["projectors"][1]["response"] = {0.0, 0.2, 0.6, 1.0};
+  const std::string known_file = (folder_ / "known.json").string(), out = (folder_ / "kept.json").string();
+  WriteText(known_file, known.dump());
+  const Outcome kept = Calibrate(boards + "--known-rig " + known_file + " --out " + out + " --store " + store);
+  ASSERT_EQ(kept.code, 0) << kept.out;
+  EXPECT_THAT(kept.out, AllOf(HasSubstr("kept from --known-rig " + known_file + ": all light"),
+                              Not(HasSubstr("never measured"))));
+  const Json record = Json::parse(ReadText(out), nullptr, false);
+  EXPECT_EQ(record["camera"]["gain_e_per_dn"], 3.25);
+  EXPECT_EQ(record["projectors"][1]["response"], known["projectors"][1]["response"]);
+  EXPECT_NE(record["camera"]["model"]["fx"], exact_["camera"]["model"]["fx"]);
+  ASSERT_EQ(Execute("stratalux-rig capture --kind dark --size 348x260 --simulate=white --store " + store).code, 0);
+  const Outcome dark = Calibrate(boards + "s000006 --out " + out + " --store " + store);
+  ASSERT_EQ(dark.code, 0) << dark.out;
+  EXPECT_THAT(dark.out, AllOf(HasSubstr("warning: part of the light was never measured; camera gain"),
+                              HasSubstr("never measured: projector response"), Not(HasSubstr("kept from"))));
+}
+
 }  // namespace
 }  // namespace stratalux

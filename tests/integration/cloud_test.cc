@@ -159,6 +159,32 @@ TEST_F(Cloud, WhatIsMissingOrNoRecordIsNamed) {
   EXPECT_FALSE(fs::exists(folder_ / "no"));
 }
 
+// A strip one quad wide, round a corner: no island to triangulation, and nothing that could be smoothed.
+TEST_F(Cloud, QuadsWithoutNeighboursAreNamedWhereNothingElseIsLeft) {
+  const fs::path files = folder_ / "files";
+  ASSERT_EQ(Run("stratalux-rig capture --simulate=plane --seed 3 --kind calibration --config " +
+                File("rig.toml", kTinyConfig) + " --store " + store_.string())
+                .code,
+            0);
+  ASSERT_EQ(Run("stratalux-db export s000003 --out " + files.string()).code, 0);
+  for (const auto& entry : fs::directory_iterator(files / "frames")) {
+    auto frame = ReadPng(entry.path(), nullptr);
+    ASSERT_TRUE(frame.ok()) << frame.status().message();
+    for (int y = 0; y < frame->height(); ++y)
+      for (int x = 0; x < frame->width(); ++x) {
+        const int i = x / 2, j = y / 2;
+        const bool strip = (j == 32 && i >= 3 && i < 45) || (i == 3 && j >= 3 && j < 32);
+        if (!strip) (*frame)(x, y) = 64;
+      }
+    ASSERT_TRUE(WritePng16(entry.path(), frame->view()).ok());
+  }
+  ASSERT_EQ(Run("stratalux-db import --manifest " + (files / "import.toml").string()).code, 0);
+  const Json record = Json::parse(ReadText(Session("s000003-") / "manifest.json")).at("calibration");
+  ExpectRefused("stratalux-fit cloud s000004 --calibration " + RecordFile(record) + To("no"), 1,
+                {"no point is left", "pixels that no projector's code reached", "quads without neighbours"});
+  EXPECT_FALSE(fs::exists(folder_ / "no"));
+}
+
 // A plane fitted to what lies within 3 mm of it at last; the first round takes all, the next those within 96 mm.
 struct PlaneFit {
   double rms_mm = 0.0;

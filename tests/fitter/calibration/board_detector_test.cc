@@ -7,6 +7,7 @@
 #include <gtest/gtest.h>
 
 #include "firmware-host/simulated/scene/aruco_markers.h"
+#include "fitter/calibration/observe_board.h"
 
 namespace stratalux::fit {
 namespace {
@@ -75,6 +76,27 @@ TEST(BoardDetector, SaysWhatItLookedForWhereThereIsNoMarker) {
   ASSERT_FALSE(corners.ok());
   EXPECT_EQ(corners.status().code(), StatusCode::kNotFound);
   EXPECT_NE(corners.status().message().find("charuco board of 10x7 squares"), std::string::npos);
+}
+
+// Half of a small board's corners place no board: such a pose would end the whole calibration.
+TEST(FindStillBoard, RefusesAPoseOfFewerCornersThanPlaceABoard) {
+  const BoardDescription board{BoardKind::kCharuco, 5, 3, 20.0, 15.0};
+  ProjectorPictures pictures{0, Draw(board), {}, Image<uint8_t>(kWidth, kHeight)};
+  const auto whole = FindStillBoard({pictures}, board);
+  ASSERT_TRUE(whole.ok()) << whole.status().message();
+  EXPECT_EQ(whole->size(), 8U);
+  // A sheet of paper on its last two columns.
+  for (int y = 0; y < kHeight; ++y)
+    for (int x = 0; x < kWidth; ++x)
+      if ((Eigen::Rotation2D<double>(-kTurn_rad) * (Eigen::Vector2d(x, y) - kFirst_px)).x() > 2.0 * 20.0 * kPixelsPerMm)
+        pictures.white_light(x, y) = 2700.0F;
+  ASSERT_EQ(FindBoard(pictures.white_light.view(), board)->size(), 4U);
+  const auto part = FindStillBoard({pictures}, board);
+  ASSERT_FALSE(part.ok());
+  EXPECT_EQ(part.status().code(), StatusCode::kNotFound);
+  EXPECT_NE(part.status().message().find("only 4 of the board's 8 corners"), std::string::npos);
+  const BoardDescription smallest{BoardKind::kChess, 3, 3, 20.0, 0.0};
+  EXPECT_EQ(smallest.Validate().code(), StatusCode::kUsage) << "its 4 corners can never be enough";
 }
 
 }  // namespace

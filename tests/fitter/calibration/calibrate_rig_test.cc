@@ -229,5 +229,63 @@ TEST(CalibrateRig, NamesADeviceWithoutEnoughPoses) {
       << report.status().message();
 }
 
+TEST(CalibrateRig, RefusesKnownIntrinsicsOfAnotherPictureSize) {
+  RigGeometry truth = ExampleRig(1);
+  const auto o = Observe(truth, ExamplePoses(), {}, 7);
+  truth.camera.width *= 2;
+  truth.camera.height *= 2;
+  const auto report = CalibrateRig(o, {.known_camera = truth.camera});
+  ASSERT_FALSE(report.ok());
+  EXPECT_EQ(report.status().code(), StatusCode::kUsage);
+  for (const char* size : {"2784x2084", "1392x1042"})
+    EXPECT_NE(report.status().message().find(size), std::string::npos) << report.status().message();
+}
+
+TEST(Verdict, NamesThePoseThatMostRejectedCornersLieIn) {
+  auto report = CalibrateRig(Observe(ExampleRig(1), ExamplePoses(), {}, 18));
+  ASSERT_TRUE(report.ok()) << report.status().message();
+  report->rejected = {{"pose 1", 3, 900.0}};
+  for (int corner = 0; corner < 40; ++corner) report->rejected.push_back({"pose 9", corner, 20.0});
+  // Enough of them to be refused, whatever was rejected before.
+  report->corners = 100;
+  const std::string said = Said(JudgeCalibration(*report));
+  EXPECT_NE(said.find("the worst lie in pose 9"), std::string::npos) << said;
+  report->rejected.assign(40, {"pose 2", 0, 30.0});
+  report->rejected.insert(report->rejected.end(), 40, {"pose 7", 0, 31.0});
+  EXPECT_NE(Said(JudgeCalibration(*report)).find("the worst lie in pose 7"), std::string::npos);
+}
+
+TEST(CalibrateRig, GoesOnWithoutAPoseThatAllItsCornersContradict) {
+  // In one of 24 poses a projector was pushed.
+  auto poses = ExamplePoses();
+  for (Rigid3 pose : ExamplePoses()) {
+    pose.translation_mm += Eigen::Vector3d(-6.0, 4.0, 15.0);
+    poses.push_back(pose);
+  }
+  auto o = Observe(ExampleRig(2), poses, {}, 19);
+  for (CornerObservation& corner : o.poses[17].corners)
+    if (corner.projector_px[1]) *corner.projector_px[1] += Eigen::Vector2d(3.0, 6.0);
+  const auto report = CalibrateRig(o);
+  ASSERT_TRUE(report.ok()) << report.status().message();
+  ASSERT_EQ(report->left_out.size(), 1U);
+  EXPECT_EQ(report->left_out[0].find("pose 17: nearly all of its corners"), 0U) << report->left_out[0];
+  EXPECT_EQ(report->used.poses.size(), 23U);
+  EXPECT_EQ(report->bundle.camera_from_board.size(), 23U);
+  EXPECT_EQ(report->held_out.size(), 23U);
+  const auto findings = JudgeCalibration(*report);
+  EXPECT_FALSE(IsRefused(findings)) << Said(findings);
+  EXPECT_NEAR(report->bundle.rig.camera.fx, 3248.0, 4.0 * std::sqrt(report->covariances[0](0, 0)));
+}
+
+TEST(Verdict, NamesAPoseThatCouldNotBePlaced) {
+  auto report = CalibrateRig(Observe(ExampleRig(1), ExamplePoses(), {}, 20));
+  ASSERT_TRUE(report.ok()) << report.status().message();
+  report->held_out[5].surprise = report->held_out[5].errors.squares[0] = INFINITY;
+  report->held_out_total.Add(report->held_out[5].errors);
+  const std::string said = Said(JudgeCalibration(*report));
+  EXPECT_NE(said.find("REFUSED pose 5: no place of the board fits"), std::string::npos) << said;
+  EXPECT_EQ(said.find("inf px"), std::string::npos) << said;
+}
+
 }  // namespace
 }  // namespace stratalux::fit

@@ -150,5 +150,10 @@ TEST_F(GrayDecoder, RefusesAnIncompleteCode) {
   EXPECT_NE(report.status().message().find("rows"), std::string::npos);
 }
 
+TEST_F(GrayDecoder, CallsSitesThatSaturateInTheDarkSaturatedNotUnlit) {
+  const DecodeReport glare = Decode(Shoot(rig_, 0, kBall, {.ambient_dn = 40000.0}));
+  EXPECT_EQ(glare.counts[static_cast<int>(DecodeReason::kSaturated)], static_cast<int64_t>(glare.map.reason.size()));
+}
+
 }  // namespace
 }  // namespace stratalux::fit

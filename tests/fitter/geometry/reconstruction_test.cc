@@ -225,6 +225,7 @@ TEST(Triangulate, WhatNothingIsLeftOfIsNamed) {
   for (DecodedMap& map : maps) std::ranges::fill(map.reason.pixels(), static_cast<uint8_t>(DecodeReason::kUnlit));
   const auto dark = Triangulate(maps, rig);
   EXPECT_EQ(WhyNoSurface(dark->counts), std::to_string(120 * 96) + " pixels that no projector's code reached");
+  EXPECT_EQ(WhyNoSurface({.lone = 3}, 70), "70 quads without neighbours, 3 lone pixels");
 }
 
 // Two sites of each quad of the edge's column see a plane 60 mm behind: between them there is nothing.
