@@ -33,10 +33,10 @@ Status Move(const fs::path& from, const fs::path& to) {
 
 }  // namespace
 
-Result<std::optional<Connection>> ReleaseIndex(const fs::path& store) {
+Result<std::shared_ptr<void>> ReleaseIndex(const fs::path& store) {
   const fs::path file = store / "index.sqlite";
   std::error_code error;
-  std::optional<Connection> held;
+  std::shared_ptr<void> held;
   if (!fs::exists(file, error)) return held;
   auto connection = Connection::Open(file, Connection::Mode::kReadWrite);
   if (!connection.ok()) return held;
@@ -50,7 +50,7 @@ Result<std::optional<Connection>> ReleaseIndex(const fs::path& store) {
     (void)ResumeIndex(store).ok();           // not while that program is there
     return locked;
   }
-  if (locked.ok()) held = std::move(connection).value();
+  if (locked.ok()) held = std::make_shared<Connection>(std::move(connection).value());
   return held;
 }
 

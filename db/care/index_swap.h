@@ -3,9 +3,8 @@
 #pragma once
 
 #include <filesystem>
-#include <optional>
+#include <memory>
 
-#include "db/base/sqlite.h"
 #include "shared/base/result.h"
 
 namespace stratalux::db {
@@ -16,8 +15,8 @@ inline constexpr const char* kKeptIndex = "index-before-reindex-";
 // Folds the old index's log into it, so that its file stands alone, and keeps every program from writing it as long as
 // what is returned lives: let go of it behind SwapIndex. Whoever waited to write meanwhile is refused then (kBusy), as
 // SQLite sees that the file was moved. kBusy while any program has it open. A damaged or missing one is no failure
-// (nothing is held): its log is kept beside it by SwapIndex.
-[[nodiscard]] Result<std::optional<Connection>> ReleaseIndex(const std::filesystem::path& store);
+// (null, nothing is held): its log is kept beside it by SwapIndex.
+[[nodiscard]] Result<std::shared_ptr<void>> ReleaseIndex(const std::filesystem::path& store);
 
 // Undoes ReleaseIndex where the old index stays; nobody holds it any more.
 Status ResumeIndex(const std::filesystem::path& store);
