@@ -8,10 +8,10 @@
 #include <fcntl.h>
 #include <nlohmann/json.hpp>
 #include <sodium.h>
-#include <sys/stat.h>
 #include <unistd.h>
 
 #include "db/base/durable_file.h"
+#include "db/base/private_leftover.h"
 #include "db/base/write_lock.h"
 #include "db/catalogue/deletions.h"
 #include "db/catalogue/session_index.h"
@@ -54,13 +54,9 @@ std::filesystem::path Beside(const std::filesystem::path& file) { return file.st
 // else there: whoever made that could read the key in it.
 Status WipeOwnLeftover(const std::filesystem::path& file, const std::string& session_id) {
   const std::filesystem::path beside = Beside(file);
-  struct stat info {};
-  if (lstat(beside.c_str(), &info) != 0)
-    return errno == ENOENT ? Status::Ok()
-                           : Status::Failed("cannot check " + beside.string() + ": " + std::strerror(errno));
-  const bool ours = S_ISREG(info.st_mode) && info.st_uid == geteuid() && (info.st_mode & 077) == 0 &&
-                    info.st_nlink == 1 && IsInExport(beside, session_id);
-  if (!ours)
+  SLX_ASSIGN_OR_RETURN(const auto left, FindPrivateLeftover(beside));
+  if (left == PrivateLeftover::kNone) return Status::Ok();
+  if (left == PrivateLeftover::kForeign || !IsInExport(beside, session_id))
     return Status::Usage(beside.string() + " is there, and the key would be written into it: move it away, or choose" +
                          " another name");
   return WipeFile(beside);

@@ -6,12 +6,12 @@
 #include <set>
 
 #include <fcntl.h>
-#include <sys/stat.h>
 #include <unistd.h>
 
 #include "db/base/durable_file.h"
 #include "db/base/file_lock.h"
 #include "db/base/paths.h"
+#include "db/base/private_leftover.h"
 #include "db/catalogue/session_index.h"
 #include "db/ledger/ledger.h"
 #include "db/ledger/old_tombstones.h"
@@ -27,13 +27,10 @@ constexpr const char* kLockName = "backup.lock";
 
 // What a backup that was killed left of a copy, which may be one of all keys. kUsage for what is not ours.
 Status WipePart(const fs::path& part) {
-  struct stat info {};
-  if (lstat(part.c_str(), &info) != 0)
-    return errno == ENOENT ? Status::Ok()
-                           : Status::Failed("cannot check " + part.string() + ": " + std::strerror(errno));
-  const bool ours =
-      S_ISREG(info.st_mode) && info.st_uid == geteuid() && (info.st_mode & 077) == 0 && info.st_nlink == 1;
-  if (!ours) return Status::Usage(part.string() + " was not left by a backup of this account; move it away");
+  SLX_ASSIGN_OR_RETURN(const auto left, FindPrivateLeftover(part));
+  if (left == PrivateLeftover::kNone) return Status::Ok();
+  if (left == PrivateLeftover::kForeign)
+    return Status::Usage(part.string() + " was not left by a backup of this account; move it away");
   return WipeFile(part);
 }
 
