@@ -4,12 +4,14 @@
 
 #include <algorithm>
 #include <filesystem>
+#include <functional>
 #include <map>
 #include <string>
 #include <vector>
 
 #include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
+#include <sys/wait.h>
 #include <unistd.h>
 
 #include "db/apps/extract.h"
@@ -45,6 +47,22 @@ class ForgetTest : public StoreTest {
   void TearDown() override {
     StoreTest::TearDown();
     std::filesystem::remove_all(exports_);
+  }
+
+  // Forgets in a process of its own, which `after_step` may end: its exit status, 0 where it finished, -1 where
+  // something else ended it.
+  [[nodiscard]] int ForgetApart(const std::string& session, const std::function<void(ForgetStep)>& after_step) const {
+    const pid_t child = fork();
+    if (child == 0) {
+      Logger quiet(LogLevel::kError);
+      ForgetRequest request;
+      request.sessions = {session};
+      request.after_step = after_step;
+      _exit(Forget(folder_, request, quiet).ok() ? 0 : 1);
+    }
+    int status = 0;
+    if (child < 0 || waitpid(child, &status, 0) != child) return -1;
+    return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
   }
 
   // A session with pixels of its own, a fit with files, and an export outside the store.

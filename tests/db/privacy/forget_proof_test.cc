@@ -185,20 +185,10 @@ TEST_F(ForgetHalves, ASearchLeavesTheLocksOfThisProcessOnTheIndex) {
 TEST_F(ForgetHalves, ABegunForgettingWhoseNoteIsDamagedKeepsNobodyWaiting) {
   const std::string id = Visit(kVisitor, 1, Encryption::kPerSession), other = Visit(kOther, 2, Encryption::kNone);
   const Traces traces = TracesOf(id);
-  const pid_t child = fork();
-  ASSERT_GE(child, 0);
-  if (child == 0) {
-    Logger quiet(LogLevel::kError);
-    ForgetRequest request;
-    request.sessions = {id};
-    request.after_step = [](ForgetStep step) {
-      if (step == ForgetStep::kEntered) _exit(9);
-    };
-    _exit(Forget(folder_, request, quiet).ok() ? 0 : 1);
-  }
-  int status = 0;
-  ASSERT_EQ(waitpid(child, &status, 0), child);
-  ASSERT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) == 9);
+  const int ended = ForgetApart(id, [](ForgetStep step) {
+    if (step == ForgetStep::kEntered) _exit(9);
+  });
+  ASSERT_EQ(ended, 9);
   const fs::path intent = folder_ / "ledger" / (id + ".forgetting");
   std::string of_other = *ReadFile(intent);
   WriteText(intent, std::string(of_other.size(), '\0'));

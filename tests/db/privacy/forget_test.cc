@@ -104,22 +104,12 @@ TEST_F(ForgetTest, FinishesWhateverThePointAtWhichItStopped) {
     ASSERT_TRUE(GiveConsent(folder_, kVisitor, {"2026-03", "de", true, true, false, {}}).ok());
     const std::string id = Visit(kVisitor, 1 + points, Encryption::kPerSession);
     const Traces traces = TracesOf(id);
-    const pid_t child = fork();
-    ASSERT_GE(child, 0);
-    if (child == 0) {
-      Logger quiet(LogLevel::kError);
-      ForgetRequest request;
-      request.sessions = {id};
-      int left = points;
-      request.after_step = [&left](ForgetStep) {
-        if (left-- == 0) _exit(9);
-      };
-      _exit(Forget(folder_, request, quiet).ok() ? 0 : 1);
-    }
-    int status = 0;
-    ASSERT_EQ(waitpid(child, &status, 0), child);
-    ASSERT_TRUE(WIFEXITED(status) && (WEXITSTATUS(status) == 9 || WEXITSTATUS(status) == 0)) << status;
-    finished = WEXITSTATUS(status) == 0;
+    int left = points;
+    const int ended = ForgetApart(id, [&left](ForgetStep) {
+      if (left-- == 0) _exit(9);
+    });
+    ASSERT_TRUE(ended == 9 || ended == 0) << ended;
+    finished = ended == 0;
     SCOPED_TRACE("point " + std::to_string(points));
     EXPECT_EQ(*IsForgotten(folder_, id), points > 0) << "from the entry on, which follows the note of what must go";
     { const SessionStore reopened = OpenStore(); }  // recovery must not bring it back
