@@ -29,8 +29,8 @@ struct DueSession {
 
 struct IncomingDue {
   std::vector<DueSession> sessions;
-  std::vector<std::string>
-      newer;  // manifests of a later program, by which nothing is due here: what is wrong with each
+  // Of each manifest of a later program, by which nothing is due here, what is wrong with it.
+  std::vector<std::string> newer;
 };
 
 // The same of sessions that incoming/ alone knows, by their manifests there: what a broken-off transfer left of a

@@ -135,10 +135,12 @@ void ClearLane(int lane, EmLight& light) {
                        &light.coverage, &light.full_coverage, &light.white, &light.white_variance, &light.white_weight,
                        &light.white_back})
     (*row)[lane] = 0.0F;
-  for (LaneRows* rows : {&light.data, &light.surface_response, &light.unseen}) {
-    if (rows == &light.unseen && light.sees_all) continue;
-    for (size_t at = lane; at < rows->size(); at += kEmLanes) (*rows)[at] = 0.0F;
-  }
+  const auto clear = [lane](LaneRows& rows) {
+    for (size_t at = lane; at < rows.size(); at += kEmLanes) rows[at] = 0.0F;
+  };
+  clear(light.data);
+  clear(light.surface_response);
+  if (!light.sees_all) clear(light.unseen);
   for (int t = -light.reach; t < light.cells_per_sample + light.reach; ++t)
     light.response[RowOf(light.reach_limit + t) + lane] = 0.0F;
 }
