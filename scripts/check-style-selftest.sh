@@ -37,7 +37,8 @@ for folder in shared db firmware-host fitter tests; do
         plant "$file" "// SPDX-License-Identifier: MIT\nint x;\n" ;;
       scratch)
         plant "$file" "$spdx\nauto f = std::filesystem::temp_directory_path() / \"mesh.ply\";\n"
-        plant "$file" "$spdx\nauto f =\n    fs::temp_directory_path() /\n    (name + \".ply\");\n" ;;
+        plant "$file" "$spdx\nauto f =\n    fs::temp_directory_path() /\n    (name + \".ply\");\n"
+        plant "$file" "$spdx\nauto f = ::testing::TempDir() + \"mesh.ply\";\n" ;;
     esac
   done
 done

@@ -9,6 +9,8 @@
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
+#include "tests/support/scratch_folder.h"
+
 namespace stratalux::rig {
 namespace {
 
@@ -76,7 +78,8 @@ TEST(DevicesCommand, WhatTheConfigurationNamesIsHeldAgainstTheMachine) {
 }
 
 TEST(DevicesCommand, TheMachinesOwnBrokenConfigurationIsSaidAndEndsNothing) {
-  const std::string file = ::testing::TempDir() + "/broken-rig.toml";
+  const ScratchFolder scratch;
+  const std::string file = (scratch / "broken-rig.toml").string();
   std::ofstream(file) << "[camera]\nwidht = 3\n";
   const auto asked = DevicesBeside(file, ConfigurationFrom::kAsked);
   EXPECT_EQ(asked.status().code(), StatusCode::kUsage);

@@ -9,6 +9,7 @@
 #include <nlohmann/json.hpp>
 
 #include "shared/image/png.h"
+#include "tests/support/scratch_folder.h"
 
 namespace stratalux::rig {
 namespace {
@@ -144,9 +145,9 @@ TEST(TimingOf, TakesWhatWasLearntWhereTheConfigurationIsSilent) {
 }
 
 TEST(RenderPlan, WritesThePatternsThatTheStepsName) {
+  const ScratchFolder scratch;
   const CapturePlan plan = SmallPlan();
-  const std::filesystem::path folder = std::filesystem::path(::testing::TempDir()) / "stratalux-plan-render";
-  std::filesystem::remove_all(folder);
+  const std::filesystem::path folder = scratch / "patterns";
   ASSERT_TRUE(RenderPlan(plan, {}, SmallLayout(), folder).ok());
   std::ifstream in(folder / "plan.json");
   const auto json = nlohmann::json::parse(in);

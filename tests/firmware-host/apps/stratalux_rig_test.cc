@@ -37,7 +37,8 @@ Outcome Rig(const std::string& arguments) {
 class WrongUse : public ::testing::TestWithParam<std::pair<const char*, const char*>> {};
 
 TEST_P(WrongUse, ExitsWith2AndSaysWhy) {
-  const auto store = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-wrong-use";
+  const ScratchFolder scratch;
+  const auto store = scratch / "wrong-use";
   const Outcome outcome = Rig(std::string(GetParam().first) + " --store " + store.string());
   EXPECT_EQ(outcome.code, 2) << outcome.out;
   EXPECT_THAT(outcome.out, HasSubstr(GetParam().second));
@@ -87,7 +88,8 @@ INSTANTIATE_TEST_SUITE_P(
         std::pair("capture --simulate --frobnicate", "frobnicate")));
 
 TEST(StrataluxRig, AnUnknownConfigurationKeyIsNamedWithItsLine) {
-  const auto file = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-test.toml";
+  const ScratchFolder scratch;
+  const auto file = scratch / "test.toml";
   std::ofstream(file) << "[plan]\nmotion_whites = 2\nmotion_blacks = 2\n";
   const Outcome outcome = Rig("plan show --config " + file.string());
   EXPECT_EQ(outcome.code, 2);
@@ -96,9 +98,8 @@ TEST(StrataluxRig, AnUnknownConfigurationKeyIsNamedWithItsLine) {
 }
 
 TEST(StrataluxRig, AKindThatThePatternMemoriesDoNotHoldIsRefused) {
-  const auto folder = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-memory";
-  std::filesystem::remove_all(folder);
-  std::filesystem::create_directories(folder);
+  const ScratchFolder scratch;
+  const auto& folder = scratch.path();
   std::ofstream(folder / "rig.toml") << "[memory]\nsections = [\"visitor\"]\n";
   const std::string flags =
       " --simulate=white --config " + (folder / "rig.toml").string() + " --store " + (folder / "store").string();
@@ -117,7 +118,8 @@ TEST(StrataluxRig, AKindThatThePatternMemoriesDoNotHoldIsRefused) {
 }
 
 TEST(StrataluxRig, FlagsOverrideTheConfiguration) {
-  const auto file = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-kinds.toml";
+  const ScratchFolder scratch;
+  const auto file = scratch / "kinds.toml";
   std::ofstream(file) << "[plan]\nkind = \"flat\"\nprojectors = 1\npreroll_markers = 0\n";
   EXPECT_THAT(Rig("plan show --config " + file.string()).out, HasSubstr("\n91 frames"));
   EXPECT_THAT(Rig("plan show --kind dark --config " + file.string()).out, HasSubstr("\n48 frames"));
@@ -132,7 +134,8 @@ TEST(StrataluxRig, AStoreMustBeNamed) {
 
 // Before the rig is opened. A disk of a megabyte, which is gone with the shell's name space.
 TEST(StrataluxRig, NobodyIsLitForASessionThatTheDiskCannotTake) {
-  const std::string disk = (std::filesystem::path(::testing::TempDir()) / "stratalux-rig-small-disk").string();
+  const ScratchFolder scratch;
+  const std::string disk = (scratch / "small-disk").string();
   std::filesystem::create_directories(disk);
   const std::string within = "unshare --map-root-user --mount sh -c 'mount -t tmpfs -o size=1m small " + disk + " && ";
   if (Shell(within + "true' 2>&1").code != 0) GTEST_SKIP() << "no mounts of one's own on this machine";
@@ -142,13 +145,13 @@ TEST(StrataluxRig, NobodyIsLitForASessionThatTheDiskCannotTake) {
   EXPECT_EQ(outcome.code, 1) << outcome.out;
   EXPECT_THAT(outcome.out, HasSubstr("has 0.00 GB free, the session may take 0.34 GB: make room"));
   EXPECT_THAT(outcome.out, Not(HasSubstr("\nstore\n"))) << "nothing was made";
-  std::filesystem::remove_all(disk);
 }
 
 // Before any device is looked for: the lines and the camera of this file do not exist.
 TEST(StrataluxRig, NobodyIsCapturedWithoutAConsent) {
-  const auto file = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-wired.toml";
-  const auto store = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-no-consent";
+  const ScratchFolder scratch;
+  const auto file = scratch / "wired.toml";
+  const auto store = scratch / "no-consent";
   std::ofstream(file) << "[camera]\nbackend = \"v4l2\"\ndevice = \"/dev/no-such-camera\"\n[plan]\nprojectors = 1\n"
                          "[[projector]]\nenable = { line = \"no-such-line\" }\n"
                          "trigger = { line = \"t\" }\nsync = { line = \"s\" }\n";
@@ -165,7 +168,8 @@ TEST(StrataluxRig, NobodyIsCapturedWithoutAConsent) {
 }
 
 TEST(StrataluxRig, SafeFailsWhereItCannotKeepItsWord) {
-  const auto file = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-safe.toml";
+  const ScratchFolder scratch;
+  const auto file = scratch / "safe.toml";
   setenv("STATE_DIRECTORY", "/nonexistent", 1);
   std::ofstream(file) << "[plan]\nprojectors = 1\n";
   const Outcome unwired = Rig("safe --config " + file.string());
@@ -181,8 +185,8 @@ TEST(StrataluxRig, SafeFailsWhereItCannotKeepItsWord) {
 
 // A typo in the configuration keeps nobody's light on.
 TEST(StrataluxRig, SafeGoesByTheLightsThatWereOpenedLast) {
-  const auto folder = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-state";
-  std::filesystem::create_directories(folder);
+  const ScratchFolder scratch;
+  const auto& folder = scratch.path();
   const auto config = folder / "typo.toml";
   std::ofstream(config) << "[projectr]\n";
   ASSERT_TRUE(rig::KeepLights(folder, {{{{"the-last-line", "", -1}, rig::ActiveLevel::kHigh}}, {}}).ok());
@@ -196,7 +200,6 @@ TEST(StrataluxRig, SafeGoesByTheLightsThatWereOpenedLast) {
   EXPECT_EQ(refused.code, 2) << refused.out;
   EXPECT_THAT(refused.out, HasSubstr("can be written by others"));
   unsetenv("STATE_DIRECTORY");
-  std::filesystem::remove_all(folder);
 }
 
 TEST(StrataluxRig, EachCommandHasExamplesOfItsOwn) {
@@ -417,10 +420,10 @@ TEST_F(LearntDeadlinesProgram, AStoppedCaptureListsTheStepsThatItLacksAsRanges) 
 }
 
 TEST(CaptureProgram, TellsVisitAttemptAndWhatItFoundApartFromReasons) {
-  const auto store = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-visit";
-  std::filesystem::remove_all(store);
+  const ScratchFolder scratch;
+  const auto store = scratch / "store";
   // Hardly any light comes back from what stands so dark: the pre-scan finds it dim, the proof is whole.
-  const auto scene = std::filesystem::path(::testing::TempDir()) / "stratalux-rig-dark.toml";
+  const auto scene = scratch / "dark.toml";
   std::ofstream(scene) << "[subject]\nshape = \"head\"\n[skin]\nopaque = true\nmelanin = 0.3\n";
   const Outcome outcome =
       Shell("env -u STRATALUX_STORE " + std::string(STRATALUX_BIN_DIR) +
@@ -440,7 +443,6 @@ TEST(CaptureProgram, TellsVisitAttemptAndWhatItFoundApartFromReasons) {
   EXPECT_EQ(row->info.reasons, json["reasons"].get<std::vector<std::string>>());
   EXPECT_EQ(nlohmann::json::parse(FindingsToJson(row->info.found.findings)), json["findings"]);
   EXPECT_GT(PlanOptionsFromJson(row->info.plan_json)->exposure_ms, 16.0) << "dark skin gets more light";
-  std::filesystem::remove_all(store);
 }
 
 }  // namespace

@@ -108,7 +108,7 @@ TEST_F(ProfileCsv, AppendsRadianceAndKeepsTheRest) {
                                        "\"b, \"\"x\"\"\",0,0,1,0.1,s\nc,0,0,1,1,t\nc,0,0,1,2,u\n"),
                                  false);
   ASSERT_TRUE(file.ok()) << file.status().message();
-  const auto out = (std::filesystem::path(::testing::TempDir()) / "out.csv").string();
+  const auto out = (folder_ / "out.csv").string();
   ASSERT_TRUE(WriteProfiles(out, file->table, {1, 2, 3, 4, 5, 0.1}).ok());
   std::ifstream in(out);
   std::string header, first;

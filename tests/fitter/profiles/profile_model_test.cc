@@ -12,6 +12,7 @@
 
 #include "firmware-host/simulated/table_tool/line_spread.h"
 #include "shared/base/random.h"
+#include "tests/support/scratch_folder.h"
 
 namespace stratalux::fit {
 namespace {
@@ -306,12 +307,13 @@ TEST(ProfileModel, DirectionalWeightsPredictSingleScatteringAtUnseenAngles) {
 }
 
 TEST(ProfileModel, PredictsMonteCarloSkinFromUnseenLight) {
+  const ScratchFolder scratch;
   // The independent judge: photons through layered skin, no Gaussians, few enough for a test.
   rig::LineSpreadOptions options;
   options.channel = 0;
   options.photons = 250000;
   options.slit_mm = {1.0};
-  const auto folder = std::filesystem::path(::testing::TempDir());
+  const auto& folder = scratch.path();
   auto read = [&](const char* name) {
     std::ofstream(folder / name) << rig::LineSpreadCsv(options);
     return ReadProfiles((folder / name).string(), true);

@@ -6,13 +6,16 @@
 #include <gmock/gmock.h>
 #include <sys/stat.h>
 
+#include "tests/support/scratch_folder.h"
+
 namespace stratalux {
 namespace {
 
 namespace fs = std::filesystem;
 
 TEST(ReadFile, GivesEveryByteBack) {
-  const fs::path file = fs::path(::testing::TempDir()) / "stratalux_read_file";
+  const ScratchFolder scratch;
+  const fs::path file = scratch / "file";
   for (const size_t size : {size_t{0}, size_t{1}, size_t{65535}, size_t{65536}, size_t{200001}}) {
     std::string bytes(size, '\0');
     for (size_t i = 0; i < size; ++i) bytes[i] = static_cast<char>(i * 31 % 256);
@@ -21,11 +24,11 @@ TEST(ReadFile, GivesEveryByteBack) {
     ASSERT_TRUE(read.ok()) << read.status().message();
     EXPECT_TRUE(*read == bytes) << size;
   }
-  fs::remove(file);
 }
 
 TEST(ReadFile, NamesWhatIsNoFile) {
-  const fs::path folder = ::testing::TempDir();
+  const ScratchFolder scratch;
+  const fs::path& folder = scratch.path();
   const Status missing = ReadFile(folder / "stratalux_none").status(), directory = ReadFile(folder).status();
   EXPECT_EQ(missing.code(), StatusCode::kNotFound);
   EXPECT_NE(missing.message().find("stratalux_none: No such file"), std::string::npos) << missing.message();
@@ -35,22 +38,19 @@ TEST(ReadFile, NamesWhatIsNoFile) {
 
 // Nobody makes it anew, or goes on as if there were none.
 TEST(ReadFile, WhatIsThereAndCannotBeOpenedIsNotMissing) {
-  const fs::path folder = fs::path(::testing::TempDir()) / "stratalux_read_unopened";
-  fs::remove_all(folder);
-  fs::create_directories(folder);
+  const ScratchFolder scratch;
+  const fs::path& folder = scratch.path();
   std::ofstream(folder / "file") << "text";
   fs::create_symlink("loop", folder / "loop");
   fs::create_symlink("gone", folder / "dangling");
   EXPECT_EQ(ReadFile(folder / "loop").status().code(), StatusCode::kFailed);
   EXPECT_EQ(ReadFile(folder / "dangling").status().code(), StatusCode::kNotFound);
   EXPECT_EQ(ReadFile(folder / "file" / "below").status().code(), StatusCode::kNotFound);
-  fs::remove_all(folder);
 }
 
 TEST(ReadFile, WaitsForNobodyAndReadsNoMoreThanItMay) {
-  const fs::path folder = fs::path(::testing::TempDir()) / "stratalux_read_limits";
-  fs::remove_all(folder);
-  fs::create_directories(folder);
+  const ScratchFolder scratch;
+  const fs::path& folder = scratch.path();
   ASSERT_EQ(mkfifo((folder / "pipe").c_str(), 0600), 0);
   std::ofstream(folder / "sparse").put('x');
   fs::resize_file(folder / "sparse", uintmax_t{10} << 30);
@@ -69,7 +69,6 @@ TEST(ReadFile, WaitsForNobodyAndReadsNoMoreThanItMay) {
   EXPECT_THAT(message(ReadFile(folder / "ten", 9)), HasSubstr("it has 10 bytes, at most 9 are read"));
   EXPECT_FALSE(ReadFile("/proc/self/maps")->empty()) << "a file whose size is said to be 0";
   EXPECT_EQ(ReadFile(fs::path(std::string("/etc/passwd\0.png", 16))).status().code(), StatusCode::kNotFound);
-  fs::remove_all(folder);
 }
 
 }  // namespace

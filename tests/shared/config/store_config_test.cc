@@ -6,11 +6,14 @@
 
 #include <gtest/gtest.h>
 
+#include "tests/support/scratch_folder.h"
+
 namespace stratalux {
 namespace {
 
 Result<StoreConfig> Load(const std::string& text) {
-  const auto file = std::filesystem::path(::testing::TempDir()) / "store-config.toml";
+  const ScratchFolder scratch;
+  const auto file = scratch / "store-config.toml";
   std::ofstream(file) << text;
   return LoadStoreConfig(file);
 }

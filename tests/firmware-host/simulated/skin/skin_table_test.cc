@@ -355,14 +355,12 @@ TEST(InterpolationCheck, SeesATableThatIsWrong) {
 }
 
 // Loading what is no table.
-class SkinTableFile : public ::testing::Test {
+class SkinTableFile : public ScratchFolderTest {
  protected:
   void SetUp() override {
     bytes_ = Read(SkinTable::DefaultPath());
     ASSERT_GT(bytes_.size(), 1000U);
-    path_ = ::testing::TempDir() + "skin_table_" + ::testing::UnitTest::GetInstance()->current_test_info()->name();
   }
-  void TearDown() override { std::filesystem::remove(path_); }
   static std::vector<char> Read(const std::string& file) {
     const std::string text = ReadText(file);
     return {text.begin(), text.end()};
@@ -376,7 +374,7 @@ class SkinTableFile : public ::testing::Test {
     return table.status();
   }
   std::vector<char> bytes_;
-  std::string path_;
+  const std::string path_ = (folder_ / "skin-table").string();
 };
 
 TEST_F(SkinTableFile, MissingIsNotFound) {
