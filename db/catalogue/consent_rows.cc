@@ -20,6 +20,18 @@ Status InsertConsent(Connection& connection, const std::string& visitor, const C
   return transaction.Commit();
 }
 
+Result<std::vector<WallNs>> ConsentMoments(Connection& connection, const std::string& visitor) {
+  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT given_wall_ns FROM consents WHERE visitor = ?1 AND"
+                                                       " given_wall_ns > 0 ORDER BY number"));
+  select.Bind(1, visitor);
+  std::vector<WallNs> given;
+  while (true) {
+    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
+    if (!more) return given;
+    given.push_back({select.Integer(0)});
+  }
+}
+
 Result<std::optional<WallNs>> WithdrawnOn(Connection& connection, int64_t session_number) {
   SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT withdrawn_wall_ns FROM session_consents WHERE session ="
                                                        " ?1 AND withdrawn_wall_ns IS NOT NULL"));

@@ -10,6 +10,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "db/catalogue/forgotten_rows.h"
 #include "db/ledger/ledger.h"
 #include "db/ledger/old_tombstones.h"
 #include "shared/base/json_nesting.h"
@@ -114,6 +115,38 @@ Result<int64_t> Withdraw(Connection& connection, const std::vector<LedgerEntry>&
   return withdrawn;
 }
 
+// Visitors whose consents these entries name, all of them.
+Result<std::vector<std::string>> VisitorsForgottenBy(Connection& connection, const std::vector<LedgerEntry>& entries) {
+  std::set<int64_t> forgotten;
+  for (const LedgerEntry& entry : entries)
+    if (ForgetsVisitor(entry))
+      for (const WallNs given : ConsentsWithdrawnBy(entry)) forgotten.insert(given.ns);
+  std::vector<std::string> visitors;
+  if (forgotten.empty()) return visitors;
+  SLX_ASSIGN_OR_RETURN(const auto moments, ConsentsByMoment(connection));
+  SLX_ASSIGN_OR_RETURN(auto other, connection.Prepare("SELECT given_wall_ns FROM consents WHERE visitor = ?1"));
+  for (const auto& [given, consents] : moments) {
+    if (!forgotten.contains(given) || consents.of_several) continue;
+    other.Bind(1, consents.visitor);
+    bool all = true;
+    while (all) {
+      SLX_ASSIGN_OR_RETURN(const bool more, other.Step());
+      if (!more) break;
+      all = forgotten.contains(other.Integer(0));
+    }
+    other.Reset();
+    if (all) visitors.push_back(consents.visitor);
+  }
+  return visitors;
+}
+
+// The number of consents that held until now. One transaction of the caller's.
+Result<int64_t> FollowConsents(SessionIndex& index, const std::vector<LedgerEntry>& entries) {
+  SLX_ASSIGN_OR_RETURN(const int64_t withdrawn, Withdraw(index.connection(), entries));
+  SLX_RETURN_IF_ERROR(RemoveForgottenVisitors(index, entries).status());
+  return withdrawn;
+}
+
 std::string ReasonOf(const std::string& detail) {
   const auto json = nlohmann::ordered_json::parse(detail, nullptr, false);
   const bool has = json.is_object() && json.contains("reason") && json["reason"].is_string();
@@ -188,13 +221,19 @@ Status RecordOldWithdrawals(SessionIndex& index, const fs::path& store) {
 
 }  // namespace
 
+Result<bool> RemoveForgottenVisitors(SessionIndex& index, const std::vector<LedgerEntry>& entries) {
+  SLX_ASSIGN_OR_RETURN(const auto forgotten, VisitorsForgottenBy(index.connection(), entries));
+  SLX_RETURN_IF_ERROR(RemoveForgottenRows(index, {}, forgotten));
+  return !forgotten.empty();
+}
+
 Status FollowLedger(SessionIndex& index, const fs::path& store) {
   Connection& connection = index.connection();
   SLX_ASSIGN_OR_RETURN(const auto heads, ReadHeads(connection));
   SLX_ASSIGN_OR_RETURN(const LedgerNews news, ReadLedgerNews(store, heads));
   if (!news.changed) return Status::Ok();
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
-  SLX_RETURN_IF_ERROR(Withdraw(connection, news.entries).status());
+  SLX_RETURN_IF_ERROR(FollowConsents(index, news.entries).status());
   for (const LedgerEntry& entry : news.entries)
     if (entry.kind == LedgerKind::kForgetting || entry.kind == LedgerKind::kForgotten)
       SLX_RETURN_IF_ERROR(NoteDeletion(connection, entry));
@@ -222,7 +261,7 @@ Result<std::vector<WallNs>> HoldingThoughWithdrawn(SessionIndex& index, const Le
 Result<int64_t> FollowWithdrawals(SessionIndex& index, const fs::path& store) {
   SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(index.connection()));
-  SLX_ASSIGN_OR_RETURN(const int64_t withdrawn, Withdraw(index.connection(), ledger.entries()));
+  SLX_ASSIGN_OR_RETURN(const int64_t withdrawn, FollowConsents(index, ledger.entries()));
   SLX_RETURN_IF_ERROR(transaction.Commit());
   return withdrawn;
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the ledger says, in the rows of the index: withdrawals in consents, certificates in deletions. The ledger is
-// written first; an index that was cut off before its rows were written, lost or rebuilt learns them here. Internal to
-// db/.
+// What the ledger says, in the rows of the index: withdrawals in consents, certificates in deletions, forgotten
+// visitors in none. The ledger is written first; an index that was cut off before its rows were written, lost or
+// rebuilt learns them here. Internal to db/.
 #pragma once
 
 #include <filesystem>
@@ -20,6 +20,10 @@ Status FollowLedger(SessionIndex& index, const std::filesystem::path& store);
 // All withdrawals of the ledger once more, for sessions that came after their entry was read. The rows that this
 // changed.
 [[nodiscard]] Result<int64_t> FollowWithdrawals(SessionIndex& index, const std::filesystem::path& store);
+
+// Visitors of whom nothing is here but consents, all named by those entries that forget a visitor. Whether there were
+// any. One transaction of the caller's.
+[[nodiscard]] Result<bool> RemoveForgottenVisitors(SessionIndex& index, const std::vector<LedgerEntry>& entries);
 
 // When those consents were given that hold here though the ledger names them as withdrawn: until it is followed, and
 // where several visitors gave theirs at the very moment, so that nobody can tell whose is meant.

@@ -41,6 +41,10 @@ struct LedgerEntry {
 // A withdrawal names the consents that it ends by when they were given, too: an index older than the visitor's first
 // session, or of a visitor without any, knows them by that alone.
 [[nodiscard]] std::string WithdrawalDetail(const std::vector<WallNs>& given);
+// The same of a visitor who is forgotten: an index that knows those consents, and no session of theirs, forgets whose
+// they are. To earlier programs it is a withdrawal.
+[[nodiscard]] std::string VisitorForgottenDetail(const std::vector<WallNs>& given);
+[[nodiscard]] bool ForgetsVisitor(const LedgerEntry& entry);
 // None of another kind of entry, or of a program that did not say it.
 [[nodiscard]] std::vector<WallNs> ConsentsWithdrawnBy(const LedgerEntry& entry);
 

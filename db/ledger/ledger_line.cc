@@ -82,16 +82,39 @@ const char* ToString(LedgerKind kind) {
   return "note";
 }
 
-std::string WithdrawalDetail(const std::vector<WallNs>& given) {
+namespace {
+
+Json Withdrawing(const std::vector<WallNs>& given) {
   Json moments = Json::array();
   for (const WallNs at : given) moments.push_back(at.ns);
-  return Json({{"given_wall_ns", std::move(moments)}}).dump();
+  return Json({{"given_wall_ns", std::move(moments)}});
+}
+
+// Null where it is none or not to be read.
+Json DetailOfWithdrawal(const LedgerEntry& entry) {
+  if (entry.kind != LedgerKind::kWithdrawal || !CheckNesting(entry.detail_json).ok()) return nullptr;
+  return Json::parse(entry.detail_json, nullptr, false);
+}
+
+}  // namespace
+
+std::string WithdrawalDetail(const std::vector<WallNs>& given) { return Withdrawing(given).dump(); }
+
+std::string VisitorForgottenDetail(const std::vector<WallNs>& given) {
+  Json detail = Withdrawing(given);
+  detail["visitor_forgotten"] = true;
+  return detail.dump();
+}
+
+bool ForgetsVisitor(const LedgerEntry& entry) {
+  const Json detail = DetailOfWithdrawal(entry);
+  const auto forgotten = detail.is_object() ? detail.find("visitor_forgotten") : detail.end();
+  return forgotten != detail.end() && *forgotten == true;
 }
 
 std::vector<WallNs> ConsentsWithdrawnBy(const LedgerEntry& entry) {
   std::vector<WallNs> given;
-  if (entry.kind != LedgerKind::kWithdrawal || !CheckNesting(entry.detail_json).ok()) return given;
-  const Json detail = Json::parse(entry.detail_json, nullptr, false);
+  const Json detail = DetailOfWithdrawal(entry);
   const auto moments = detail.is_object() ? detail.find("given_wall_ns") : detail.end();
   if (moments == detail.end() || !moments->is_array()) return given;
   constexpr auto kMost = static_cast<uint64_t>(std::numeric_limits<int64_t>::max());

@@ -13,6 +13,7 @@
 #include "db/base/write_lock.h"
 #include "db/care/incoming.h"
 #include "db/catalogue/consent.h"
+#include "db/catalogue/consent_rows.h"
 #include "db/catalogue/forgotten_rows.h"
 #include "db/catalogue/ledger_follow.h"
 #include "db/keys/key_store.h"
@@ -42,6 +43,8 @@ class Forgetting {
  private:
   Status WriteIntents();
   Status EnterForgettings();
+  [[nodiscard]] Result<std::vector<std::string>> LeavingVisitors(SessionIndex& index) const;
+  Status EnterLeavingVisitors();
   Status Remove();
   Status RemoveIncoming();
   Status DestroyKeys();
@@ -74,7 +77,8 @@ Status Forgetting::WriteIntents() {
   std::vector<std::string> unread;
   SLX_ASSIGN_OR_RETURN(intents_, ReadIntents(store_, unread));
   // Whoever asks to be forgotten does not wait for what another account began, which stays to be told.
-  if (!unread.empty() && request_.sessions.empty() && request_.visitors.empty()) return Status::Failed(unread.front());
+  const bool asked = !request_.sessions.empty() || !request_.visitors.empty() || !request_.leftovers.empty();
+  if (!unread.empty() && !asked && intents_.empty()) return Status::Failed(unread.front());
   report_.leftovers = std::move(unread);
   std::vector<std::string> fresh;
   for (const std::string& id : request_.sessions)
@@ -114,9 +118,8 @@ Status Forgetting::RemoveIncoming() {
   return Status::Ok();
 }
 
-// Of visitors whose last session this is. Before the rows go: broken off behind it, the next call finds the visitors
-// again.
-Status Forgetting::RemoveVisitorKeys(SessionIndex& index) {
+// Whose last session this is.
+Result<std::vector<std::string>> Forgetting::LeavingVisitors(SessionIndex& index) const {
   std::set<std::string> names(request_.visitors.begin(), request_.visitors.end()), ids;
   for (const ForgetIntent& intent : intents_) {
     names.insert(intent.visitor);
@@ -124,6 +127,7 @@ Status Forgetting::RemoveVisitorKeys(SessionIndex& index) {
   }
   names.erase("");
   SLX_ASSIGN_OR_RETURN(auto select, index.connection().Prepare("SELECT id FROM sessions WHERE visitor = ?1"));
+  std::vector<std::string> leaving;
   for (const std::string& name : names) {
     bool others = false;
     select.Bind(1, name);
@@ -133,8 +137,36 @@ Status Forgetting::RemoveVisitorKeys(SessionIndex& index) {
       others |= !ids.contains(select.Text(0));
     }
     select.Reset();
-    if (others) continue;
-    SLX_RETURN_IF_ERROR(DestroyVisitorKey(store_, name));
+    if (!others) leaving.push_back(name);
+  }
+  return leaving;
+}
+
+// An index of before their first session names them by their consents alone.
+Status Forgetting::EnterLeavingVisitors() {
+  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store_, AccessMode::kReadOnly));
+  SLX_ASSIGN_OR_RETURN(const auto leaving, LeavingVisitors(index));
+  if (leaving.empty()) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store_));
+  std::set<int64_t> entered;
+  for (const LedgerEntry& entry : ledger.entries())
+    if (ForgetsVisitor(entry))
+      for (const WallNs given : ConsentsWithdrawnBy(entry)) entered.insert(given.ns);
+  for (const std::string& visitor : leaving) {
+    SLX_ASSIGN_OR_RETURN(const auto given, ConsentMoments(index.connection(), visitor));
+    if (std::ranges::all_of(given, [&](WallNs at) { return entered.contains(at.ns); })) continue;
+    SLX_RETURN_IF_ERROR(
+        AppendToLedger(store_, {LedgerKind::kWithdrawal, WallNow(), {}, "", VisitorForgottenDetail(given)}));
+    Done(ForgetStep::kEntered);
+  }
+  return Status::Ok();
+}
+
+// Before the rows go: broken off behind it, the next call finds the visitors again.
+Status Forgetting::RemoveVisitorKeys(SessionIndex& index) {
+  SLX_ASSIGN_OR_RETURN(const auto leaving, LeavingVisitors(index));
+  for (const std::string& visitor : leaving) {
+    SLX_RETURN_IF_ERROR(DestroyVisitorKey(store_, visitor));
     Done(ForgetStep::kVisitorKey);
   }
   return Status::Ok();
@@ -332,6 +364,7 @@ Status Forgetting::Remove() {
   }
   SLX_RETURN_IF_ERROR(WriteIntents());
   SLX_RETURN_IF_ERROR(EnterForgettings());
+  SLX_RETURN_IF_ERROR(EnterLeavingVisitors());
   SLX_RETURN_IF_ERROR(FindLateExports());
   SLX_RETURN_IF_ERROR(DestroyKeys());
   RemoveExports();

@@ -37,7 +37,7 @@ enum class ForgetReason { kForget, kPurge };
 
 enum class ForgetStep {
   kIntent,   // written; the session is not yet forgotten
-  kEntered,  // in the ledger: from here on it is
+  kEntered,  // in the ledger: from here on it is, and so is a visitor of whom nothing is left
   kKey,
   kExport,
   kSetAside,  // out of sessions/

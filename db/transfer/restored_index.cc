@@ -8,6 +8,7 @@
 #include "db/care/reindex.h"
 #include "db/care/session_rebuild.h"
 #include "db/catalogue/forgotten_rows.h"
+#include "db/catalogue/ledger_follow.h"
 #include "db/transfer/adopt.h"
 
 namespace stratalux::db {
@@ -97,7 +98,8 @@ Result<bool> ForgetRows(SessionIndex& index, const Ledger& ledger) {
   SLX_ASSIGN_OR_RETURN(auto forgotten, SessionsOfIndex(index.connection()));
   std::erase_if(forgotten, [&](const VisitorSession& row) { return !ledger.IsForgotten(row.session); });
   SLX_RETURN_IF_ERROR(RemoveForgottenRows(index, forgotten));
-  return !forgotten.empty();
+  SLX_ASSIGN_OR_RETURN(const bool visitors, RemoveForgottenVisitors(index, ledger.entries()));
+  return visitors || !forgotten.empty();
 }
 
 Status PrepareIndex(const fs::path& store, const fs::path& work, const std::string& from, RestoreReport& report) {

@@ -76,6 +76,16 @@ TEST_F(ForgetHalves, ABegunForgettingThatCannotBeReadIsNotTakenForDone) {
   ASSERT_EQ(asked->leftovers.size(), 1U);
   EXPECT_THAT(asked->leftovers[0], ::testing::HasSubstr("--resume"));
   EXPECT_EQ(CertificateOf(other)["verification"]["clean"], true);
+  // And who was begun beside it is finished by a --resume.
+  ASSERT_TRUE(GiveConsent(folder_, kOther, {"1", "de", true, false, false, {}}).ok());
+  const std::string third = Visit(kOther, 3, Encryption::kNone);
+  WriteText(folder_ / "notes.txt", "nice face in " + third + "\n");
+  EXPECT_EQ(ForgetNow({third})->leftovers.size(), 2U);
+  fs::remove(folder_ / "notes.txt");
+  const auto resumed = ForgetNow({});
+  ASSERT_TRUE(resumed.ok()) << resumed.status().message();
+  EXPECT_THAT(resumed->leftovers, ::testing::ElementsAre(::testing::HasSubstr(intent.string())));
+  EXPECT_EQ(CertificateOf(third)["verification"]["clean"], true);
   fs::remove(intent);
   fs::copy(aside, intent);
   EXPECT_THAT(ForgetNow({})->leftovers, IsEmpty());

@@ -228,6 +228,64 @@ TEST_F(LedgerStoryTest, AWithdrawalAfterAVisitHoldsInAnIndexOfBeforeIt) {
   EXPECT_TRUE(ListConsents(folder_, kVisitor)->front().withdrawn);
 }
 
+// An index of before the first session, of a backup: without the ledger's word the pseudonym would come back with it.
+TEST_F(LedgerStoryTest, AForgottenVisitorDoesNotComeBackWithAnIndexOfBeforeTheFirstVisit) {
+  constexpr const char* kOther = "v-00000002";
+  for (const bool captured : {false, true}) {
+    SCOPED_TRACE(captured ? "captured since" : "never captured");
+    Consent();
+    Consent();
+    ASSERT_TRUE(GiveConsent(folder_, kOther, {"2026-03", "de", true, false, false, {}}).ok());
+    { const SessionStore followed = OpenStore(); }
+    const fs::path older = folder_.string() + ".older";
+    fs::copy(folder_ / "index.sqlite", older);
+    ForgetRequest request;
+    request.visitors = {kVisitor};
+    if (captured) request.sessions = {Visit()};
+    Logger quiet(LogLevel::kError);
+    ASSERT_TRUE(Forget(folder_, request, quiet).ok());
+    const auto entries = ReadLedger().entries();
+    EXPECT_EQ(std::ranges::count_if(entries, ForgetsVisitor), captured ? 2 : 1);
+    for (const LedgerEntry& entry : entries) EXPECT_THAT(entry.detail_json, Not(HasSubstr(kVisitor)));
+    LoseIndex();
+    fs::rename(older, folder_ / "index.sqlite");
+    ASSERT_THAT(*ListConsents(folder_, kVisitor), SizeIs(2)) << "the copy is one that tells";
+    { const SessionStore followed = OpenStore(); }
+    EXPECT_THAT(*ListConsents(folder_, kVisitor), IsEmpty());
+    EXPECT_EQ(ReadText(folder_ / "index.sqlite").find(kVisitor), std::string::npos) << "nor in a freed page";
+    EXPECT_FALSE(ListConsents(folder_, kOther)->front().withdrawn);
+  }
+}
+
+// Nobody else's rows go for it: not who gave theirs at the same moment, not who has consented anew or has a session.
+TEST_F(LedgerStoryTest, OnlyWhoIsNamedInAllConsentsAndHasNoSessionIsForgottenByTheLedger) {
+  constexpr const char *kTwin = "v-00000002", *kAnew = "v-00000003", *kAlone = "v-00000004";
+  const auto give = [this](const char* visitor, int64_t at) {
+    ASSERT_TRUE(GiveConsent(folder_, visitor, {"2026-03", "de", true, false, false, {at}}).ok());
+  };
+  give(kTwin, 1'000);
+  give("v-00000005", 1'000);
+  give(kAnew, 2'000);
+  give(kAnew, 2'001);
+  give(kAlone, 3'000);
+  give(kVisitor, 4'000);
+  const std::string id = Visit();
+  ASSERT_TRUE(
+      AppendToLedger(
+          folder_,
+          {LedgerKind::kWithdrawal, WallNow(), {}, "", VisitorForgottenDetail({{1'000}, {2'000}, {3'000}, {4'000}})})
+          .ok());
+  ASSERT_TRUE(AppendToLedger(folder_, {LedgerKind::kWithdrawal, WallNow(), {}, "", WithdrawalDetail({{2'001}})}).ok());
+  { const SessionStore followed = OpenStore(); }
+  EXPECT_THAT(*ListConsents(folder_, kTwin), SizeIs(1));
+  EXPECT_THAT(*ListConsents(folder_, kAnew), SizeIs(2));
+  EXPECT_THAT(*ListConsents(folder_, kAlone), IsEmpty());
+  EXPECT_TRUE(ListConsents(folder_, kVisitor)->at(0).withdrawn);
+  EXPECT_THAT(*OpenStore(AccessMode::kReadOnly).ListSessions(), SizeIs(1));
+  ForgetNow(id);
+  EXPECT_THAT(*ListConsents(folder_, kVisitor), IsEmpty()) << "with the last session";
+}
+
 // Killed behind the ledger and before the index, behind both, and before either.
 TEST_F(LedgerStoryTest, AWithdrawalHoldsWhereverItStops) {
   for (const WithdrawStep stop : {WithdrawStep::kLedger, WithdrawStep::kIndex}) {

@@ -213,6 +213,16 @@ TEST_F(RestoreTest, NothingOfAForgottenVisitorComesBackWithTheIndexOfTheBackup) 
   }
 }
 
+TEST_F(RestoreTest, ABackupOfBeforeTheFirstVisitBringsNoForgottenVisitorBack) {
+  StoreSession(1);
+  ASSERT_TRUE(GiveConsent(folder_, "p-4711-gone", {"v1", "en", true, false, false, {5}}).ok());
+  BackUp();
+  ASSERT_EQ(Db("forget --visitor p-4711-gone --yes --store " + folder_.string()).code, 0);
+  ASSERT_TRUE(RestoreNew(folder_.string()).ok());
+  EXPECT_THAT(*ListConsents(other_, kSimulatedVisitor), ::testing::SizeIs(1));
+  EXPECT_EQ(ReadText(other_ / "index.sqlite").find("p-4711-gone"), std::string::npos);
+}
+
 TEST_F(RestoreTest, WithdrawalsOfTheLedgersHoldInTheRestoredIndex) {
   const std::string id = StoreSession(1);
   BackUp();
