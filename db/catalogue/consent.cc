@@ -217,6 +217,16 @@ Result<Consent> ValidConsent(const std::filesystem::path& store, const std::stri
   return newest.consent;
 }
 
+Result<std::optional<WallNs>> SessionWithdrawnOn(const std::filesystem::path& store, const std::string& session_id) {
+  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
+  if (const auto withdrawn = ledger.WithdrawnAt(session_id)) return withdrawn;
+  SLX_ASSIGN_OR_RETURN(auto index, SessionIndex::Open(store, AccessMode::kReadOnly));
+  const auto number = index.NumberOf(session_id);
+  if (number.status().code() == StatusCode::kNotFound) return std::optional<WallNs>();
+  if (!number.ok()) return number.status();
+  return WithdrawnOn(index.connection(), *number);
+}
+
 Status RequireConsent(const std::filesystem::path& store, SessionInfo& info) {
   if (info.kind != SessionKind::kVisitor) return Status::Ok();
   if (info.visitor.empty()) {

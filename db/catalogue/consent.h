@@ -45,6 +45,11 @@ Status WithdrawConsent(const std::filesystem::path& store, const std::string& vi
 // The visitor's newest consent if it holds and covers `fit`. kUsage otherwise, with the command that records one.
 [[nodiscard]] Result<Consent> ValidConsent(const std::filesystem::path& store, const std::string& visitor);
 
+// When the consent was withdrawn that a visitor's session was made under, by ledger and index, of which either may be
+// behind. None of other sessions, and of those that are not here.
+[[nodiscard]] Result<std::optional<WallNs>> SessionWithdrawnOn(const std::filesystem::path& store,
+                                                               const std::string& session_id);
+
 // What BeginSession asks: fills visitor and consent of a visitor's session, or says why there is none (kUsage).
 // Sessions of other kinds show nobody and pass.
 Status RequireConsent(const std::filesystem::path& store, SessionInfo& info);

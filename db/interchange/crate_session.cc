@@ -11,7 +11,6 @@
 #include "db/catalogue/known_word.h"
 #include "db/catalogue/manifest.h"
 #include "db/interchange/crate_files.h"
-#include "db/ledger/ledger.h"
 #include "shared/base/json_nesting.h"
 
 namespace stratalux::db {
@@ -108,16 +107,12 @@ Status MayLeave(const std::filesystem::path& store, const SessionInfo& info, Cra
                          "answer with `stratalux-db consent give --scope fit," + ToString(scope) + "`");
   };
   if (info.visitor.empty()) return refuse("it names no visitor whose consent could be checked");
-  SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));  // it outlives the index
-  if (const auto withdrawn = ledger.WithdrawnAt(info.id))
+  SLX_ASSIGN_OR_RETURN(const auto withdrawn, SessionWithdrawnOn(store, info.id));
+  if (withdrawn)
     return Status::Usage("session " + info.id + ": the consent that it was made under was withdrawn on " +
                          ToIso8601(*withdrawn) + "; it cannot leave the store any more");
   SLX_ASSIGN_OR_RETURN(const auto consents, ListConsents(store, info.visitor));
   if (consents.empty()) return refuse("no consent of its visitor is recorded");
-  for (const ConsentRow& row : consents)
-    if (row.withdrawn && row.consent.given_wall == info.consent.given_wall)
-      return Status::Usage("session " + info.id + ": the consent that it was made under was withdrawn on " +
-                           ToIso8601(*row.withdrawn) + "; it cannot leave the store any more");
   const ConsentRow& newest = consents.back();
   if (newest.withdrawn) return refuse("its visitor has withdrawn consent on " + ToIso8601(*newest.withdrawn));
   if (!Covers(newest.consent, scope))

@@ -61,16 +61,15 @@ Status ExportFit(const SessionStore& store, const SessionRow& session, const fs:
   return WriteTextOnce(out / fit / kFitRecordFile, record).status();
 }
 
-enum class Fits { kLeftOut, kIncluded };
-
+// The visitor gets the fits, too.
 Result<ExportReport> ExportOne(const SessionStore& store, const SessionRow& session, const ExportOptions& options,
-                               Fits fits, Logger& logger) {
+                               ExportFor whom, Logger& logger) {
   const std::string& id = session.info.id;
   if (const std::string text = Shortfall(session.info); !text.empty()) logger.Warning(text);
   SLX_ASSIGN_OR_RETURN(auto all, store.ListFrames(id));
   const auto frames = Chosen(std::move(all), options);
   const auto fit_files =
-      fits == Fits::kIncluded ? FilesOfFits(store.SessionFolder(id) / "fits") : std::vector<fs::path>();
+      whom == ExportFor::kVisitor ? FilesOfFits(store.SessionFolder(id) / "fits") : std::vector<fs::path>();
   std::vector<std::string> names = {"frames.json", "session.json", "import.toml"};
   // So that the pictures can be held against what the rig signed.
   std::error_code error;
@@ -116,7 +115,7 @@ Result<ExportReport> ExportOne(const SessionStore& store, const SessionRow& sess
     }
     return Status::Ok();
   };
-  SLX_RETURN_IF_ERROR(WriteExport(store.folder(), "export", id, options.out, names, write));
+  SLX_RETURN_IF_ERROR(WriteExport(store.folder(), "export", id, options.out, names, write, whom));
   return report;
 }
 
@@ -177,7 +176,7 @@ std::string ReadmeFor(const std::string& visitor, const std::vector<SessionSumma
 
 Result<ExportReport> ExportSession(const SessionStore& store, const SessionRow& session, const ExportOptions& options,
                                    Logger& logger) {
-  return ExportOne(store, session, options, Fits::kLeftOut, logger);
+  return ExportOne(store, session, options, ExportFor::kOthers, logger);
 }
 
 Result<ExportReport> ExportVisitor(const SessionStore& store, const std::string& visitor, const ExportOptions& options,
@@ -198,7 +197,8 @@ Result<ExportReport> ExportVisitor(const SessionStore& store, const std::string&
   std::vector<std::string> together;
   for (const SessionSummary& session : sessions) together.push_back(session.info.id);
   for (const std::string& session : together)
-    SLX_RETURN_IF_ERROR(BeginExport(store.folder(), "export", session, options.out, of_all, together));
+    SLX_RETURN_IF_ERROR(
+        BeginExport(store.folder(), "export", session, options.out, of_all, together, ExportFor::kVisitor));
   ExportReport total;
   const auto write = [&]() -> Status {
     SLX_RETURN_IF_ERROR(WriteTextOnce(known, json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n").status());
@@ -207,7 +207,7 @@ Result<ExportReport> ExportVisitor(const SessionStore& store, const std::string&
       ExportOptions one = options;
       one.out = options.out / session.info.id;
       SLX_ASSIGN_OR_RETURN(const SessionRow row, store.FindSession(session.info.id));
-      SLX_ASSIGN_OR_RETURN(const ExportReport report, ExportOne(store, row, one, Fits::kIncluded, logger));
+      SLX_ASSIGN_OR_RETURN(const ExportReport report, ExportOne(store, row, one, ExportFor::kVisitor, logger));
       total.sessions += report.sessions;
       total.written += report.written;
       total.kept += report.kept;
@@ -217,7 +217,7 @@ Result<ExportReport> ExportVisitor(const SessionStore& store, const std::string&
   const Status written = write();
   Status stays;  // of all, also behind a failure: that may be a forgetting's
   for (const SessionSummary& session : sessions)
-    if (Status ended = EndExport(store.folder(), session.info.id, options.out, of_all); stays.ok())
+    if (Status ended = EndExport(store.folder(), session.info.id, options.out, of_all, ExportFor::kVisitor); stays.ok())
       stays = std::move(ended);
   if (!stays.ok()) return stays;
   if (!written.ok()) return written;

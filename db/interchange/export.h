@@ -38,7 +38,7 @@ struct ExportReport {
                                                  const ExportOptions& options, Logger& logger);
 
 // One person's data: OUT/<session>/ as above with fits/ for each session of the pseudonym, visitor.json (consents),
-// README.txt for that person. kNotFound for an unknown pseudonym.
+// README.txt for that person, who may have withdrawn. kNotFound for an unknown pseudonym.
 [[nodiscard]] Result<ExportReport> ExportVisitor(const SessionStore& store, const std::string& visitor,
                                                  const ExportOptions& options, Logger& logger);
 

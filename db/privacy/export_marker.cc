@@ -11,6 +11,7 @@
 
 #include "db/base/durable_file.h"
 #include "db/base/paths.h"
+#include "db/catalogue/consent.h"
 #include "db/catalogue/deletions.h"
 #include "db/privacy/access_log.h"
 #include "shared/base/read_file.h"
@@ -57,6 +58,16 @@ Status RefuseFilesOfOthers(const fs::path& folder, const std::string& session_id
   return Status::Ok();
 }
 
+// Forgotten, or withdrawn: what goes with the next purge is not handed out to others before.
+Status RefuseLeaving(const fs::path& store, const std::string& session_id, ExportFor whom) {
+  SLX_RETURN_IF_ERROR(RefuseForgotten(store, session_id));
+  if (whom == ExportFor::kVisitor) return Status::Ok();
+  SLX_ASSIGN_OR_RETURN(const auto withdrawn, SessionWithdrawnOn(store, session_id));
+  if (!withdrawn) return Status::Ok();
+  return Status::Usage("session " + session_id + ": the consent that it was made under was withdrawn on " +
+                       ToIso8601(*withdrawn) + "; it cannot leave the store any more");
+}
+
 std::string HostName() {
   std::array<char, 256> name{};
   return gethostname(name.data(), name.size() - 1) == 0 ? name.data() : "localhost";
@@ -93,11 +104,11 @@ Status WriteExportMarker(const fs::path& folder, const std::string& session_id, 
 
 Status BeginExport(const fs::path& store, const std::string& action, const std::string& session_id,
                    const fs::path& folder, const std::vector<std::string>& files,
-                   const std::vector<std::string>& together) {
+                   const std::vector<std::string>& together, ExportFor whom) {
   SLX_RETURN_IF_ERROR(RefuseFilesOfOthers(folder, session_id, files, together));
   SLX_RETURN_IF_ERROR(LogAccess(store, action, session_id, ExportPlace(folder)));
   // Behind the row: a forgetting that is entered later finds it, one that was entered before is seen here.
-  SLX_RETURN_IF_ERROR(RefuseForgotten(store, session_id));
+  SLX_RETURN_IF_ERROR(RefuseLeaving(store, session_id, whom));
   std::vector<std::string> with_beside = files;
   for (const std::string& name : files) with_beside.push_back(name + kBeside);
   return WriteExportMarker(folder, session_id, with_beside);
@@ -113,21 +124,21 @@ Status WriteExportedFile(const fs::path& file, const std::function<Status(const 
 }
 
 Status EndExport(const fs::path& store, const std::string& session_id, const fs::path& folder,
-                 const std::vector<std::string>& files) {
-  const Status stays = RefuseForgotten(store, session_id);
+                 const std::vector<std::string>& files, ExportFor whom) {
+  const Status stays = RefuseLeaving(store, session_id, whom);
   if (stays.code() != StatusCode::kUsage) return stays;
-  // The forgetting may have taken the marker before the last files came.
+  // A forgetting may have taken the marker before the last files came.
   SLX_RETURN_IF_ERROR(WriteExportMarker(folder, session_id, files));
   SLX_RETURN_IF_ERROR(RemoveExport(ExportPlace(folder), session_id).status());
   return stays.WithContext("what was exported until then is deleted again");
 }
 
 Status WriteExport(const fs::path& store, const std::string& action, const std::string& session_id,
-                   const fs::path& folder, const std::vector<std::string>& files,
-                   const std::function<Status()>& write) {
-  SLX_RETURN_IF_ERROR(BeginExport(store, action, session_id, folder, files));
+                   const fs::path& folder, const std::vector<std::string>& files, const std::function<Status()>& write,
+                   ExportFor whom) {
+  SLX_RETURN_IF_ERROR(BeginExport(store, action, session_id, folder, files, {}, whom));
   const Status written = write();
-  const Status stays = EndExport(store, session_id, folder, files);
+  const Status stays = EndExport(store, session_id, folder, files, whom);
   return stays.ok() ? written : stays;
 }
 

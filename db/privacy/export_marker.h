@@ -22,15 +22,18 @@ namespace stratalux::db {
 Status WriteExportMarker(const std::filesystem::path& folder, const std::string& session_id,
                          const std::vector<std::string>& files);
 
+// kVisitor: whom the session shows gets a copy, also after having withdrawn.
+enum class ExportFor { kOthers, kVisitor };
+
 // What every export calls before its first file: the row of the access log (access_log.h), then the marker. kUsage for
-// a session that was forgotten; and, before anything is written, for a file that the marker of another session lists,
-// but for the sessions `together` with which this one shares files of one export.
+// a session that was forgotten, or whose consent was withdrawn; and, before anything is written, for a file that the
+// marker of another session lists, but for the sessions `together` with which this one shares files of one export.
 Status BeginExport(const std::filesystem::path& store, const std::string& action, const std::string& session_id,
                    const std::filesystem::path& folder, const std::vector<std::string>& files,
-                   const std::vector<std::string>& together = {});
-// And behind its last: of a session that was forgotten meanwhile `files` are deleted, and that is kUsage.
+                   const std::vector<std::string>& together = {}, ExportFor whom = ExportFor::kOthers);
+// And behind its last: of a session that was forgotten or withdrawn meanwhile `files` are deleted, and that is kUsage.
 Status EndExport(const std::filesystem::path& store, const std::string& session_id, const std::filesystem::path& folder,
-                 const std::vector<std::string>& files);
+                 const std::vector<std::string>& files, ExportFor whom = ExportFor::kOthers);
 // One of them that takes the place of an earlier one whole: `write` makes it beside, under a name that the marker lists
 // as well.
 Status WriteExportedFile(const std::filesystem::path& file,
@@ -38,7 +41,7 @@ Status WriteExportedFile(const std::filesystem::path& file,
 // The one, `write`, and the other: also behind a failure, for that may be the forgetting's.
 Status WriteExport(const std::filesystem::path& store, const std::string& action, const std::string& session_id,
                    const std::filesystem::path& folder, const std::vector<std::string>& files,
-                   const std::function<Status()>& write);
+                   const std::function<Status()>& write, ExportFor whom = ExportFor::kOthers);
 
 // The sessions that have a marker in this folder.
 [[nodiscard]] std::vector<std::string> ExportsIn(const std::filesystem::path& folder);

@@ -4,6 +4,9 @@
 
 #include <gmock/gmock.h>
 
+#include "db/base/durable_file.h"
+#include "db/catalogue/consent.h"
+#include "db/ledger/ledger.h"
 #include "db/privacy/access_log.h"
 #include "db/privacy/forget.h"
 #include "tests/db/store_fixture.h"
@@ -175,6 +178,30 @@ TEST_F(ExportMarkerTest, AFileOfAnotherSessionsExportIsNotWrittenOver) {
   EXPECT_TRUE(BeginExport(folder_, "export", second, face, {"export.json"}).ok()) << "the first is forgotten";
   // What one export holds of several sessions goes with whichever is forgotten first.
   EXPECT_TRUE(BeginExport(folder_, "export", first, face, {"export.json"}, {first, second}).ok());
+}
+
+// It goes with the next purge: by the index, and by the ledger alone. What was being written meanwhile goes at once.
+TEST_F(ExportMarkerTest, OfWhoHasWithdrawnNothingIsHandedOut) {
+  const std::string first = StoreSession(1), second = StoreSession(1);
+  const auto refused = [this](const std::string& session) {
+    const Status begun = BeginExport(folder_, "export", session, folder_ / session, {"mesh.glb"});
+    EXPECT_EQ(begun.code(), StatusCode::kUsage);
+    EXPECT_THAT(begun.message(), HasSubstr(session + ": the consent that it was made under was withdrawn on 2"));
+    EXPECT_FALSE(fs::exists(folder_ / session));
+  };
+  const auto writing = [&] {
+    WriteText(folder_ / first / "mesh.glb", "a face");
+    return AppendToLedger(folder_, {LedgerKind::kWithdrawal, WallNow(), {first}, "", ""});
+  };
+  EXPECT_EQ(WriteExport(folder_, "export", first, folder_ / first, {"mesh.glb"}, writing).code(), StatusCode::kUsage);
+  refused(first);
+  EXPECT_TRUE(BeginExport(folder_, "cloud", second, folder_ / "cloud", {"cloud.ply"}).ok());
+  ASSERT_TRUE(WithdrawConsent(folder_, kSimulatedVisitor).ok());
+  refused(second);
+  const fs::path own = folder_ / "own";
+  const auto write = [&own] { return ReplaceFile(own / "visitor.json", "{}"); };
+  EXPECT_TRUE(WriteExport(folder_, "export", second, own, {"visitor.json"}, write, ExportFor::kVisitor).ok());
+  EXPECT_TRUE(fs::exists(own / "visitor.json")) << "the visitor's own copy";
 }
 
 TEST_F(ExportMarkerTest, ADamagedMarkerOfAnotherSessionHindersNoExport) {
