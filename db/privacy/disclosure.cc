@@ -1,9 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/privacy/disclosure.h"
 
-#include "db/catalogue/deletions.h"
 #include "db/catalogue/manifest.h"
-#include "db/ledger/ledger.h"
 #include "db/privacy/access_log.h"
 
 namespace stratalux::db {
@@ -31,8 +29,16 @@ std::string WhyWithheld(SessionKind kind, const Consent& consent, std::optional<
   return consent.fit ? "" : "no consent of the visitor allows viewing them (scope fit)";
 }
 
-Status MayBeShown(const std::filesystem::path& store, ReadOnlyIndex& index, const std::string& id) {
-  SLX_ASSIGN_OR_RETURN(const bool forgotten, IsForgotten(store, id));
+Result<bool> IsForgotten(KeptLedger& ledger, ReadOnlyIndex& index, const std::string& id) {
+  SLX_ASSIGN_OR_RETURN(const bool forgotten, ledger.IsForgotten(id));
+  if (forgotten) return true;
+  SLX_ASSIGN_OR_RETURN(const auto deleted,
+                       index.Run("SELECT 1 FROM deletions WHERE session_id = :session", {{"session", id}}));
+  return !deleted.rows.empty();
+}
+
+Status MayBeShown(KeptLedger& ledger, ReadOnlyIndex& index, const std::string& id) {
+  SLX_ASSIGN_OR_RETURN(const bool forgotten, IsForgotten(ledger, index, id));
   if (forgotten) return Status::NotFound("session '" + id + "' was forgotten");
   SLX_ASSIGN_OR_RETURN(const auto table, index.Run(kWhatCounts, {{"session", id}}));
   if (table.rows.empty()) return Status::NotFound("no session '" + id + "' in this store");
@@ -41,8 +47,7 @@ Status MayBeShown(const std::filesystem::path& store, ReadOnlyIndex& index, cons
   std::optional<WallNs> withdrawn;
   if (const auto* at = std::get_if<int64_t>(&row[2])) withdrawn = WallNs{*at};
   if (!withdrawn) {  // what stands in the ledger alone
-    SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store));
-    withdrawn = ledger.WithdrawnAt(id);
+    SLX_ASSIGN_OR_RETURN(withdrawn, ledger.WithdrawnAt(id));
   }
   const std::string why = WhyWithheld(kind, ConsentFromJson(TextIn(row[1])), withdrawn);
   return why.empty() ? Status::Ok() : Status::Usage("pictures and reports are not shown: " + why);

@@ -65,7 +65,7 @@ Result<std::string> SessionPicture(const std::filesystem::path& store, const std
                                    db::DisclosureLog& log) {
   SLX_RETURN_IF_ERROR(db::RequireCurrentSchema(store));
   SLX_ASSIGN_OR_RETURN(auto index, db::ReadOnlyIndex::Open(store));
-  SLX_RETURN_IF_ERROR(db::MayBeShown(store, index, id));
+  SLX_RETURN_IF_ERROR(db::MayBeShown(log.ledger(), index, id));
   SLX_ASSIGN_OR_RETURN(const int64_t wanted, db::FrameAtAGlance(index, id));
   SLX_ASSIGN_OR_RETURN(const auto sessions, db::SessionStore::Open(store, db::AccessMode::kReadOnly));
   SLX_ASSIGN_OR_RETURN(const auto frames, sessions.ListFrames(id));

@@ -1,10 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "db/apps/serve/site.h"
 
-#include "db/catalogue/deletions.h"
 #include "db/catalogue/manifest.h"
 #include "db/catalogue/schema_check.h"
-#include "db/ledger/ledger.h"
 #include "db/serve_style.h"
 
 namespace stratalux::db {
@@ -74,15 +72,15 @@ Result<ReadOnlyIndex> Site::OpenIndex() const {
   return ReadOnlyIndex::Open(store_);
 }
 
-Result<ServedSession> Site::Find(ReadOnlyIndex& index, const std::string& id) const {
-  SLX_ASSIGN_OR_RETURN(const bool forgotten, IsForgotten(store_, id));
+Result<ServedSession> Site::Find(ReadOnlyIndex& index, const std::string& id) {
+  SLX_ASSIGN_OR_RETURN(const bool forgotten, IsForgotten(log_.ledger(), index, id));
   if (forgotten) return Status::NotFound("session '" + id + "' was forgotten; its certificate is among the deletions");
   SLX_ASSIGN_OR_RETURN(const auto table, index.Run(kSession, {{"session", id}}));
   if (table.rows.empty()) return Status::NotFound("no session '" + id + "' in this store");
   SLX_ASSIGN_OR_RETURN(ServedSession session, SessionOf(table.rows.front()));
   if (session.withheld.empty()) {  // what stands in the ledger alone
-    SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store_));
-    session.withheld = WhyWithheld(session.info.kind, session.info.consent, ledger.WithdrawnAt(id));
+    SLX_ASSIGN_OR_RETURN(const auto withdrawn, log_.ledger().WithdrawnAt(id));
+    session.withheld = WhyWithheld(session.info.kind, session.info.consent, withdrawn);
   }
   return session;
 }

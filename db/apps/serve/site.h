@@ -35,7 +35,7 @@ class Site {
   // Never migrates: kFailed for a store of an older schema.
   [[nodiscard]] Result<ReadOnlyIndex> OpenIndex() const;
   // By its whole id. kNotFound, also for a session whose forgetting has begun.
-  [[nodiscard]] Result<ServedSession> Find(ReadOnlyIndex& index, const std::string& id) const;
+  [[nodiscard]] Result<ServedSession> Find(ReadOnlyIndex& index, const std::string& id);
   // What every handler that gives out pixels, or what was made of them, calls first: kNotFound, kUsage where the
   // session is withheld; and the entry in the access log, once a run of the program for each session and `what`
   // ("pictures", "fit f1").

@@ -165,9 +165,10 @@ TEST_F(RetentionTest, AWithdrawalThatStandsInTheLedgerAloneIsDueAndHidesThePictu
   info.visitor = "v-1";
   info.retention = Retention::kKeep;
   const std::string mine = Store(info);
+  KeptLedger ledger(folder_);
   const auto shown = [&] {
     auto index = ReadOnlyIndex::Open(folder_);
-    return index.ok() ? MayBeShown(folder_, *index, mine) : index.status();
+    return index.ok() ? MayBeShown(ledger, *index, mine) : index.status();
   };
   EXPECT_TRUE(shown().ok()) << shown().message();
   EXPECT_THAT(DueAfter(0), IsEmpty());
