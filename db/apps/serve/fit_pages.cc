@@ -119,18 +119,17 @@ Result<http::FileBody> OpenFile(Site& site, const Request& request) {
   SLX_RETURN_IF_ERROR(FiguresOf(index, session, fit).status());
   SLX_ASSIGN_OR_RETURN(
       auto file, http::OpenBelow(site.store() / "sessions", id + "/fits/" + fit + "/" + request.Wildcard("file")));
-  SLX_ASSIGN_OR_RETURN(auto plain, Unsealed(site, session, request, std::move(file)));
-  SLX_RETURN_IF_ERROR(site.Disclose(id, "fit " + fit, request.peer).status());
-  return plain;
+  return Unsealed(site, session, request, std::move(file));
 }
 
 Response ShowFile(Site& site, const Request& request) {
   auto file = OpenFile(site, request);
-  if (!file.ok()) {
-    const bool withheld = file.status().message().find("are not shown") != std::string::npos;
-    return withheld ? Page("", "Withheld", "<p class=\"problem\">" + Escape(file.status().message()) + "</p>", 403)
-                    : Problem(file.status());
-  }
+  if (!file.ok()) return Problem(file.status());
+  const Status shown =
+      site.Disclose(request.Wildcard("session"), "fit " + request.Wildcard("fit"), request.peer).status();
+  if (shown.code() == StatusCode::kUsage)
+    return Page("", "Withheld", "<p class=\"problem\">" + Escape(shown.message()) + "</p>", 403);
+  if (!shown.ok()) return Problem(shown);
   const std::string type = http::ContentTypeOf(request.Wildcard("file"));
   Response response;
   response.body = std::move(*file);

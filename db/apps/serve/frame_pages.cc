@@ -35,52 +35,54 @@ std::string PicturePlace(const std::string& id, int64_t frame) {
 }
 std::string FramesPlace(const std::string& id) { return SessionPlace(id) + "/frames"; }
 
-// Decoded, its hash checked on the way.
-struct ReadFrame {
+struct ListedFrame {
+  SessionStore store;
   FrameRow row;
-  Image<uint16_t> image;
 };
-Result<ReadFrame> Read(const Site& site, const std::string& id, int64_t frame) {
-  SLX_ASSIGN_OR_RETURN(const auto store, SessionStore::Open(site.store(), AccessMode::kReadOnly));
+Result<ListedFrame> FindFrame(const Site& site, const std::string& id, int64_t frame) {
+  SLX_ASSIGN_OR_RETURN(auto store, SessionStore::Open(site.store(), AccessMode::kReadOnly));
   SLX_ASSIGN_OR_RETURN(const auto frames, store.ListFrames(id));
   const auto found = std::find_if(frames.begin(), frames.end(), [frame](const auto& f) { return f.id == frame; });
   if (found == frames.end()) return Status::NotFound("session " + id + " has no frame " + std::to_string(frame));
-  SLX_ASSIGN_OR_RETURN(auto image, store.ReadFrame(id, *found));
-  return ReadFrame{*found, std::move(image)};
+  return ListedFrame{std::move(store), *found};
 }
 
-Result<std::string> PngOf(const Site& site, const std::string& id, int64_t frame, int limit_px) {
-  SLX_ASSIGN_OR_RETURN(const auto read, Read(site, id, frame));
-  const Image<uint8_t> picture = ReducedPicture(read.row.record, read.image.view(), limit_px);
+Result<std::string> PngOf(const ListedFrame& frame, const std::string& id, int limit_px) {
+  SLX_ASSIGN_OR_RETURN(const auto image, frame.store.ReadFrame(id, frame.row));
+  const Image<uint8_t> picture = ReducedPicture(frame.row.record, image.view(), limit_px);
   SLX_ASSIGN_OR_RETURN(const auto bytes, EncodePng8(picture.view()));
   return std::string(bytes.begin(), bytes.end());
 }
 
 // Where no picture can be shown stands a word, so that a list does not look as if it were loading.
-Response NoPicture(const Status& status) {
-  const bool encrypted = status.message().find("is encrypted") != std::string::npos;
-  const char* word = status.code() == StatusCode::kIntegrity  ? "damaged"
-                     : encrypted                              ? "no key"
-                     : status.code() == StatusCode::kUsage    ? "withheld"
-                     : status.code() == StatusCode::kNotFound ? "not here"
-                                                              : "failed";
+Response NoPicture(const std::string& word) {
   const std::string svg =
       "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 96 72\" width=\"96\" height=\"72\"><rect width=\"96\""
       " height=\"72\" fill=\"#5a3030\"/><text x=\"48\" y=\"41\" font-family=\"sans-serif\" font-size=\"14\""
       " fill=\"#fff\" text-anchor=\"middle\">" +
-      std::string(word) + "</text></svg>";
+      word + "</text></svg>";
   return Response::Of("image/svg+xml", svg);
+}
+
+const char* WordOf(const Status& status) {
+  return status.code() == StatusCode::kIntegrity  ? "damaged"
+         : status.code() == StatusCode::kNotFound ? "not here"
+                                                  : "failed";
 }
 
 Response ShowPicture(Site& site, const Request& request, int64_t frame, int limit_px) {
   const std::string id = request.Wildcard("session");
   const auto session = site.Disclose(id, "pictures", request.peer);
   if (!session.ok()) {
-    if (session.status().code() == StatusCode::kUsage) return NoPicture(session.status());
+    if (session.status().code() == StatusCode::kUsage) return NoPicture("withheld");
     return Problem(session.status());
   }
-  const auto png = PngOf(site, id, frame, limit_px);
-  return png.ok() ? Response::Of("image/png", *png) : NoPicture(png.status());
+  const auto listed = FindFrame(site, id, frame);
+  if (!listed.ok()) return NoPicture(WordOf(listed.status()));
+  const auto png = PngOf(*listed, id, limit_px);
+  if (png.ok()) return Response::Of("image/png", *png);
+  const bool no_key = !session->key_id.empty() && png.status().code() == StatusCode::kNotFound;
+  return NoPicture(no_key ? "no key" : WordOf(png.status()));
 }
 
 Response ShowThumbnail(Site& site, const Request& request) {
@@ -88,7 +90,7 @@ Response ShowThumbnail(Site& site, const Request& request) {
   if (!index.ok()) return Problem(index.status());
   const auto frame = FrameAtAGlance(*index, request.Wildcard("session"));
   if (!frame.ok())
-    return frame.status().code() == StatusCode::kNotFound ? NoPicture(frame.status()) : Problem(frame.status());
+    return frame.status().code() == StatusCode::kNotFound ? NoPicture("not here") : Problem(frame.status());
   return ShowPicture(site, request, *frame, kThumbnailPx);
 }
 
@@ -170,12 +172,17 @@ Result<std::string> ProofOf(ReadOnlyIndex& index, const ServedSession& session, 
   return Facts(facts);
 }
 
+Status ReadFrame(const Site& site, const std::string& id, int64_t frame) {
+  SLX_ASSIGN_OR_RETURN(const auto listed, FindFrame(site, id, frame));
+  return listed.store.ReadFrame(id, listed.row).status();
+}
+
 Result<std::string> OneFrame(Site& site, const Request& request, int64_t frame) {
   const std::string id = request.Wildcard("session");
   SLX_ASSIGN_OR_RETURN(auto index, site.OpenIndex());
   SLX_ASSIGN_OR_RETURN(const auto session, site.Find(index, id));
   SLX_ASSIGN_OR_RETURN(const std::string proof, ProofOf(index, session, frame));
-  Status readable = session.withheld.empty() ? Read(site, id, frame).status()
+  Status readable = session.withheld.empty() ? ReadFrame(site, id, frame)
                                              : Status::Usage("pictures are not shown: " + session.withheld);
   const std::string picture = readable.ok() ? "<p><img class=\"large\" alt=\"Frame " + std::to_string(frame) +
                                                   "\" src=\"" + Escape(PicturePlace(id, frame)) +
