@@ -38,6 +38,7 @@ for folder in shared db firmware-host fitter tests; do
       scratch)
         plant "$file" "$spdx\nauto f = std::filesystem::temp_directory_path() / \"mesh.ply\";\n"
         plant "$file" "$spdx\nauto f =\n    fs::temp_directory_path() /\n    (name + \".ply\");\n"
+        plant "$file" "$spdx\nauto f = TemporaryFolder() / (\"mesh.\" + name);\n"
         plant "$file" "$spdx\nauto f = ::testing::TempDir() + \"mesh.ply\";\n" ;;
     esac
   done

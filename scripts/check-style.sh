@@ -17,7 +17,7 @@ case "${1:-}" in
     sed 's/$/: no SPDX line/' <<<"$missing"
     exit 1 ;;
   scratch)
-    fixed=$(sources | xargs grep -lPzo 'testing::TempDir\(\)|temp_directory_path\(\)\s*/(?![^;]*(XXXXXX|getpid\(\)))')
+    fixed=$(sources | xargs grep -lPzo 'testing::TempDir\(\)|(temp_directory_path|TemporaryFolder)\(\)\s*/(?![^;]*(XXXXXX|getpid\(\)))')
     [ -n "$fixed" ] || exit 0
     while read -r file; do
       echo "$file: a fixed name in the temporary folder; tests/support/scratch_folder.h has folders"

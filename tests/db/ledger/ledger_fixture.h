@@ -2,6 +2,7 @@
 // A folder for a ledger, and its entries by the shortest names.
 #pragma once
 
+#include <cstdlib>
 #include <filesystem>
 #include <string>
 #include <vector>
@@ -49,9 +50,11 @@ class LedgerTest : public ::testing::Test {
     return lines;
   }
 
-  std::filesystem::path root_ =
-      TemporaryFolder() /
-      ("ledger_test." + std::string(::testing::UnitTest::GetInstance()->current_test_info()->name()));
+  const std::filesystem::path root_ = [] {
+    std::string name = (TemporaryFolder() / "stratalux-ledger-XXXXXX").string();
+    EXPECT_NE(mkdtemp(name.data()), nullptr);
+    return name;
+  }();
   std::filesystem::path store_;
 };
 
