@@ -119,12 +119,12 @@ Result<int64_t> Withdraw(Connection& connection, const std::vector<LedgerEntry>&
 Result<std::vector<std::string>> VisitorsForgottenBy(Connection& connection, const std::vector<LedgerEntry>& entries) {
   std::set<int64_t> forgotten;
   for (const LedgerEntry& entry : entries)
-    if (ForgetsVisitor(entry))
-      for (const WallNs given : ConsentsWithdrawnBy(entry)) forgotten.insert(given.ns);
+    for (const WallNs given : ConsentsForgottenBy(entry)) forgotten.insert(given.ns);
   std::vector<std::string> visitors;
   if (forgotten.empty()) return visitors;
   SLX_ASSIGN_OR_RETURN(const auto moments, ConsentsByMoment(connection));
-  SLX_ASSIGN_OR_RETURN(auto other, connection.Prepare("SELECT given_wall_ns FROM consents WHERE visitor = ?1"));
+  SLX_ASSIGN_OR_RETURN(auto other, connection.Prepare("SELECT given_wall_ns FROM consents WHERE visitor = ?1 AND"
+                                                      " given_wall_ns > 0"));
   for (const auto& [given, consents] : moments) {
     if (!forgotten.contains(given) || consents.of_several) continue;
     other.Bind(1, consents.visitor);
@@ -223,8 +223,12 @@ Status RecordOldWithdrawals(SessionIndex& index, const fs::path& store) {
 
 Result<bool> RemoveForgottenVisitors(SessionIndex& index, const std::vector<LedgerEntry>& entries) {
   SLX_ASSIGN_OR_RETURN(const auto forgotten, VisitorsForgottenBy(index.connection(), entries));
+  if (forgotten.empty()) return false;
+  const auto visitors = [&index] { return index.connection().QueryInteger("SELECT count(*) FROM visitors"); };
+  SLX_ASSIGN_OR_RETURN(const int64_t before, visitors());
   SLX_RETURN_IF_ERROR(RemoveForgottenRows(index, {}, forgotten));
-  return !forgotten.empty();
+  SLX_ASSIGN_OR_RETURN(const int64_t after, visitors());
+  return after < before;
 }
 
 Status FollowLedger(SessionIndex& index, const fs::path& store) {

@@ -21,7 +21,7 @@ Status FollowLedger(SessionIndex& index, const std::filesystem::path& store);
 // changed.
 [[nodiscard]] Result<int64_t> FollowWithdrawals(SessionIndex& index, const std::filesystem::path& store);
 
-// Visitors of whom nothing is here but consents, all named by those entries that forget a visitor. Whether there were
+// Visitors of whom nothing is here but consents, all of them named by notes of forgotten visitors. Whether there was
 // any. One transaction of the caller's.
 [[nodiscard]] Result<bool> RemoveForgottenVisitors(SessionIndex& index, const std::vector<LedgerEntry>& entries);
 

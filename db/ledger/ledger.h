@@ -25,7 +25,7 @@ enum class LedgerKind {
   kWithdrawal,  // of the visitor who made `sessions`
   kForgetting,  // begun: from here on the sessions cannot come back
   kForgotten,   // done: with the certificate
-  kNote         // what befell the store itself, such as a restore without a newer ledger; binds nothing
+  kNote         // what befell the store itself, such as a restore without a newer ledger; a visitor who is forgotten
 };
 [[nodiscard]] const char* ToString(LedgerKind kind);
 
@@ -41,12 +41,14 @@ struct LedgerEntry {
 // A withdrawal names the consents that it ends by when they were given, too: an index older than the visitor's first
 // session, or of a visitor without any, knows them by that alone.
 [[nodiscard]] std::string WithdrawalDetail(const std::vector<WallNs>& given);
-// The same of a visitor who is forgotten: an index that knows those consents, and no session of theirs, forgets whose
-// they are. To earlier programs it is a withdrawal.
-[[nodiscard]] std::string VisitorForgottenDetail(const std::vector<WallNs>& given);
-[[nodiscard]] bool ForgetsVisitor(const LedgerEntry& entry);
 // None of another kind of entry, or of a program that did not say it.
 [[nodiscard]] std::vector<WallNs> ConsentsWithdrawnBy(const LedgerEntry& entry);
+
+// The note that a visitor of whom no session is left was forgotten, by when the consents were given. It withdraws
+// nothing: other stores may have sessions under the same consents. An index without any removes the visitor.
+[[nodiscard]] std::string VisitorForgottenDetail(const std::vector<WallNs>& given);
+// Of such a note; none of another entry.
+[[nodiscard]] std::vector<WallNs> ConsentsForgottenBy(const LedgerEntry& entry);
 
 struct LedgerMerge {
   int64_t chains = 0, entries = 0;    // that were new here

@@ -84,44 +84,42 @@ const char* ToString(LedgerKind kind) {
 
 namespace {
 
-Json Withdrawing(const std::vector<WallNs>& given) {
+Json MomentsJson(const std::vector<WallNs>& given) {
   Json moments = Json::array();
   for (const WallNs at : given) moments.push_back(at.ns);
-  return Json({{"given_wall_ns", std::move(moments)}});
+  return moments;
 }
 
-// Null where it is none or not to be read.
-Json DetailOfWithdrawal(const LedgerEntry& entry) {
-  if (entry.kind != LedgerKind::kWithdrawal || !CheckNesting(entry.detail_json).ok()) return nullptr;
-  return Json::parse(entry.detail_json, nullptr, false);
-}
-
-}  // namespace
-
-std::string WithdrawalDetail(const std::vector<WallNs>& given) { return Withdrawing(given).dump(); }
-
-std::string VisitorForgottenDetail(const std::vector<WallNs>& given) {
-  Json detail = Withdrawing(given);
-  detail["visitor_forgotten"] = true;
-  return detail.dump();
-}
-
-bool ForgetsVisitor(const LedgerEntry& entry) {
-  const Json detail = DetailOfWithdrawal(entry);
-  const auto forgotten = detail.is_object() ? detail.find("visitor_forgotten") : detail.end();
-  return forgotten != detail.end() && *forgotten == true;
-}
-
-std::vector<WallNs> ConsentsWithdrawnBy(const LedgerEntry& entry) {
+// The moments that an entry of this kind has under `name`.
+std::vector<WallNs> MomentsIn(const LedgerEntry& entry, LedgerKind kind, const char* name) {
   std::vector<WallNs> given;
-  const Json detail = DetailOfWithdrawal(entry);
-  const auto moments = detail.is_object() ? detail.find("given_wall_ns") : detail.end();
+  if (entry.kind != kind || !CheckNesting(entry.detail_json).ok()) return given;
+  const Json detail = Json::parse(entry.detail_json, nullptr, false);
+  const auto moments = detail.is_object() ? detail.find(name) : detail.end();
   if (moments == detail.end() || !moments->is_array()) return given;
   constexpr auto kMost = static_cast<uint64_t>(std::numeric_limits<int64_t>::max());
   for (const Json& at : *moments)
     if (at.is_number_unsigned() && at.get<uint64_t>() <= kMost)
       given.push_back({static_cast<int64_t>(at.get<uint64_t>())});
   return given;
+}
+
+}  // namespace
+
+std::string WithdrawalDetail(const std::vector<WallNs>& given) {
+  return Json({{"given_wall_ns", MomentsJson(given)}}).dump();
+}
+
+std::vector<WallNs> ConsentsWithdrawnBy(const LedgerEntry& entry) {
+  return MomentsIn(entry, LedgerKind::kWithdrawal, "given_wall_ns");
+}
+
+std::string VisitorForgottenDetail(const std::vector<WallNs>& given) {
+  return Json({{"visitor_forgotten", MomentsJson(given)}}).dump();
+}
+
+std::vector<WallNs> ConsentsForgottenBy(const LedgerEntry& entry) {
+  return MomentsIn(entry, LedgerKind::kNote, "visitor_forgotten");
 }
 
 std::string LedgerHash(std::string_view bytes) {

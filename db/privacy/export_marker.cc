@@ -105,9 +105,10 @@ Status WriteExportMarker(const fs::path& folder, const std::string& session_id, 
 Status BeginExport(const fs::path& store, const std::string& action, const std::string& session_id,
                    const fs::path& folder, const std::vector<std::string>& files,
                    const std::vector<std::string>& together, ExportFor whom) {
+  SLX_RETURN_IF_ERROR(RefuseLeaving(store, session_id, whom));
   SLX_RETURN_IF_ERROR(RefuseFilesOfOthers(folder, session_id, files, together));
   SLX_RETURN_IF_ERROR(LogAccess(store, action, session_id, ExportPlace(folder)));
-  // Behind the row: a forgetting that is entered later finds it, one that was entered before is seen here.
+  // And behind the row: a forgetting that is entered later finds it, one that was entered before is seen here.
   SLX_RETURN_IF_ERROR(RefuseLeaving(store, session_id, whom));
   std::vector<std::string> with_beside = files;
   for (const std::string& name : files) with_beside.push_back(name + kBeside);

@@ -150,13 +150,12 @@ Status Forgetting::EnterLeavingVisitors() {
   SLX_ASSIGN_OR_RETURN(const Ledger ledger, Ledger::Read(store_));
   std::set<int64_t> entered;
   for (const LedgerEntry& entry : ledger.entries())
-    if (ForgetsVisitor(entry))
-      for (const WallNs given : ConsentsWithdrawnBy(entry)) entered.insert(given.ns);
+    for (const WallNs given : ConsentsForgottenBy(entry)) entered.insert(given.ns);
   for (const std::string& visitor : leaving) {
+    if (visitor == kSimulatedVisitor) continue;  // nobody
     SLX_ASSIGN_OR_RETURN(const auto given, ConsentMoments(index.connection(), visitor));
     if (std::ranges::all_of(given, [&](WallNs at) { return entered.contains(at.ns); })) continue;
-    SLX_RETURN_IF_ERROR(
-        AppendToLedger(store_, {LedgerKind::kWithdrawal, WallNow(), {}, "", VisitorForgottenDetail(given)}));
+    SLX_RETURN_IF_ERROR(AppendToLedger(store_, {LedgerKind::kNote, WallNow(), {}, "", VisitorForgottenDetail(given)}));
     Done(ForgetStep::kEntered);
   }
   return Status::Ok();

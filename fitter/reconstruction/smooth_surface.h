@@ -23,7 +23,8 @@ struct SmoothOptions {
 // Around every known quad the inverse depth q = 1/z is fitted by a quadratic of the normalised image coordinates
 // (x, y), weighted by 1/sigma^2, distance and robustness. A plane is exactly linear in q, so planes are left as they
 // are at any slant; the normal follows from the gradient: n ~ -(q_x, q_y, q - x q_x - y q_y)
-// (docs/math/geometry.md, eq. 11), the skin's blurred by the window (SurfaceMap::smoothing_quads, eq. 12). A window's
+// (docs/math/geometry.md, eq. 11), which is the difference of the fitted q of the quads on both sides where they are on
+// one surface, and else the fit's (SurfaceMap::smoothing_quads: by how much it is blurred, eq. 12). A window's
 // quads are those that the centre reaches in a straight line over quads that are OnOneSurface with the one before. Its
 // width follows the skin: the intersection of confidence intervals (Goldenshluger & Nemirovski 1997, Katkovnik 1999)
 // stops where a quadratic bends otherwise than the surface does. `noise_sigma_mm`: of the rough depths, what is

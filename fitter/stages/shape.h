@@ -14,7 +14,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kShapeVersion = 9;
+inline constexpr int kShapeVersion = 10;
 
 struct FaceShape {
   RigCalibration record;  // of the rig that it stands in, as a manifest has it

@@ -20,8 +20,7 @@ class KeptLedgerTest : public LedgerTest {
     std::string name;
     int64_t bytes = 0;
     in >> name >> bytes;
-    EXPECT_EQ(name, "rchar:");
-    return bytes;
+    return name == "rchar:" ? bytes : -1;  // a kernel that does not count, or a container that does not tell
   }
 };
 
@@ -80,6 +79,7 @@ TEST_F(KeptLedgerTest, IsNotReadAgainForEachQuestion) {
   const auto size = static_cast<int64_t>(fs::file_size(ChainOf(store_)));
   KeptLedger kept(store_);
   const int64_t before = BytesRead();
+  if (before < 0) GTEST_SKIP() << "/proc/self/io does not tell what is read";
   for (const std::string& session : sessions) EXPECT_TRUE(*kept.IsForgotten(session));
   const int64_t read = BytesRead() - before;
   EXPECT_GE(read, size);

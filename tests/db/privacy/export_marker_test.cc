@@ -197,6 +197,10 @@ TEST_F(ExportMarkerTest, OfWhoHasWithdrawnNothingIsHandedOut) {
   refused(first);
   EXPECT_TRUE(BeginExport(folder_, "cloud", second, folder_ / "cloud", {"cloud.ply"}).ok());
   ASSERT_TRUE(WithdrawConsent(folder_, kSimulatedVisitor).ok());
+  const auto entered = ListAccess(folder_, second)->size();
+  refused(second);
+  EXPECT_EQ(ListAccess(folder_, second)->size(), entered) << "what is refused is no export";
+  fs::remove_all(folder_ / "ledger");
   refused(second);
   const fs::path own = folder_ / "own";
   const auto write = [&own] { return ReplaceFile(own / "visitor.json", "{}"); };

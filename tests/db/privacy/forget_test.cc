@@ -104,6 +104,7 @@ TEST_F(ForgetTest, FinishesWhateverThePointAtWhichItStopped) {
     ASSERT_TRUE(GiveConsent(folder_, kVisitor, {"2026-03", "de", true, true, false, {}}).ok());
     const std::string id = Visit(kVisitor, 1 + points, Encryption::kPerSession);
     const Traces traces = TracesOf(id);
+    const WallNs given = ListConsents(folder_, kVisitor)->back().consent.given_wall;
     int left = points;
     const int ended = ForgetApart(id, [&left](ForgetStep) {
       if (left-- == 0) _exit(9);
@@ -118,6 +119,14 @@ TEST_F(ForgetTest, FinishesWhateverThePointAtWhichItStopped) {
     EXPECT_THAT(again->leftovers, IsEmpty());
     ExpectGone(traces, kVisitor);
     EXPECT_THAT(*UnfinishedForgets(folder_), IsEmpty());
+    const Ledger ledger = *Ledger::Read(folder_);
+    EXPECT_EQ(std::ranges::count_if(ledger.entries(),
+                                    [given](const LedgerEntry& entry) {
+                                      const auto forgotten = ConsentsForgottenBy(entry);
+                                      return std::ranges::find(forgotten, given) != forgotten.end();
+                                    }),
+              1)
+        << "that the visitor is forgotten, once";
     ASSERT_FALSE(::testing::Test::HasFailure());
   }
   ExpectUnharmed(other, 99);
