@@ -145,9 +145,7 @@ class Smoother {
       slope += (1.0 / ahead.z() - 1.0 / behind.z() - slope.dot(step)) / step.squaredNorm() * step;
     }
     SetNormal(NormalTimesDistance(n, 1.0 / once.point_mm(i, j, 2), slope), i, j, out);
-    if (both)
-      out.smoothing_quads(i, j) =
-          static_cast<float>(std::hypot(kBlurOfDepth * once.smoothing_quads(i, j), kBlurOfDifference));
+    if (both) out.smoothing_quads(i, j) = kBlurOfDifference;
   }
 
  private:
@@ -259,9 +257,8 @@ class Smoother {
   }
 
   static constexpr int kRounds = 3;
-  // Of long waves a difference over two quads keeps what a Gaussian of 3^-1/2 quads does. With that and 0.58 s, what
-  // depths and difference keep of the stated width's own wave is exp(-1/2), within 0.03 for every window.
-  static constexpr double kBlurOfDepth = 0.58, kBlurOfDifference = 0.577;
+  // To second order, as (12): a quadratic's depths have no blur, a difference over two quads that of 3^-1/2 quads.
+  static constexpr float kBlurOfDifference = 0.577F;
   const SurfaceMap& rough_;
   const ImageView<const float> noise_sigma_mm_;
   const CameraCalibration& camera_;
