@@ -84,19 +84,6 @@ Result<std::vector<std::string>> SessionsOf(Connection& connection, const std::s
   }
 }
 
-// When those consents were given that hold.
-Result<std::vector<WallNs>> HeldBy(Connection& connection, const std::string& visitor) {
-  SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT given_wall_ns FROM consents WHERE visitor = ?1 AND"
-                                                       " withdrawn_wall_ns IS NULL ORDER BY number"));
-  select.Bind(1, visitor);
-  std::vector<WallNs> given;
-  while (true) {
-    SLX_ASSIGN_OR_RETURN(const bool more, select.Step());
-    if (!more) return given;
-    given.push_back({select.Integer(0)});
-  }
-}
-
 }  // namespace
 
 Status CheckPseudonym(const std::string& visitor) {
@@ -162,7 +149,7 @@ Status WithdrawConsent(const std::filesystem::path& store, const std::string& vi
   Connection& connection = index.connection();
   // No session of the visitor begins meanwhile: its row waits for this transaction.
   SLX_ASSIGN_OR_RETURN(auto transaction, Transaction::Begin(connection));
-  SLX_ASSIGN_OR_RETURN(const auto held, HeldBy(connection, visitor));
+  SLX_ASSIGN_OR_RETURN(const auto held, ConsentMoments(connection, visitor, ConsentsThat::kHold));
   if (held.empty()) return Status::NotFound("visitor " + Quoted(visitor) + " has given no consent that is still valid");
   LedgerEntry entry;
   entry.kind = LedgerKind::kWithdrawal;

@@ -20,10 +20,10 @@ Status InsertConsent(Connection& connection, const std::string& visitor, const C
   return transaction.Commit();
 }
 
-Result<std::vector<WallNs>> ConsentMoments(Connection& connection, const std::string& visitor) {
+Result<std::vector<WallNs>> ConsentMoments(Connection& connection, const std::string& visitor, ConsentsThat which) {
   SLX_ASSIGN_OR_RETURN(auto select, connection.Prepare("SELECT given_wall_ns FROM consents WHERE visitor = ?1 AND"
-                                                       " given_wall_ns > 0 ORDER BY number"));
-  select.Bind(1, visitor);
+                                                       " (?2 OR withdrawn_wall_ns IS NULL) ORDER BY number"));
+  select.Bind(1, visitor).Bind(2, int64_t{which == ConsentsThat::kWereGiven});
   std::vector<WallNs> given;
   while (true) {
     SLX_ASSIGN_OR_RETURN(const bool more, select.Step());

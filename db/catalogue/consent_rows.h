@@ -18,8 +18,10 @@ enum class ConsentSource { kGiven, kOfSession };
 // The visitor, too, where it is new.
 Status InsertConsent(Connection& connection, const std::string& visitor, const Consent& consent, ConsentSource source);
 
-// When they were given, withdrawn or not; consents of unknown moment are left out.
-[[nodiscard]] Result<std::vector<WallNs>> ConsentMoments(Connection& connection, const std::string& visitor);
+enum class ConsentsThat { kWereGiven, kHold };
+// When they were given, in order; 0 where it is not known.
+[[nodiscard]] Result<std::vector<WallNs>> ConsentMoments(Connection& connection, const std::string& visitor,
+                                                         ConsentsThat which);
 
 // When the consent was withdrawn under which a visitor's session was made, or the visitor's newest where that is not
 // known here: what the view session_consents says. Of other sessions none.

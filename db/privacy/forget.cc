@@ -153,8 +153,8 @@ Status Forgetting::EnterLeavingVisitors() {
     for (const WallNs given : ConsentsForgottenBy(entry)) entered.insert(given.ns);
   for (const std::string& visitor : leaving) {
     if (visitor == kSimulatedVisitor) continue;  // nobody
-    SLX_ASSIGN_OR_RETURN(const auto given, ConsentMoments(index.connection(), visitor));
-    if (std::ranges::all_of(given, [&](WallNs at) { return entered.contains(at.ns); })) continue;
+    SLX_ASSIGN_OR_RETURN(const auto given, ConsentMoments(index.connection(), visitor, ConsentsThat::kWereGiven));
+    if (std::ranges::all_of(given, [&](WallNs at) { return at.ns == 0 || entered.contains(at.ns); })) continue;
     SLX_RETURN_IF_ERROR(AppendToLedger(store_, {LedgerKind::kNote, WallNow(), {}, "", VisitorForgottenDetail(given)}));
     Done(ForgetStep::kEntered);
   }
