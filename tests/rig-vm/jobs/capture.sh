@@ -12,9 +12,10 @@ short_plan=/tmp/short.toml  # references, codes and guards: what a fault needs t
 sed 's/^kind = "visitor"/kind = "calibration"/' "$plan" >$short_plan
 
 # capture NAME PLAN WANTED FAULT...: WANTED lists the session's allowed ends; a fault must leave a sign. `control`, if
-# set, is given to vivid just before the capture; `always`, if set, before each try. A capture whose camera lost a frame
+# set, is given to vivid just before the capture; `always`, if set, before each try. A capture whose camera lost frames
 # because the emulator stalled, before its pre-roll was past or where there was to be no fault, shows nothing: it is taken
-# again, twice at most, and its row says so.
+# again, twice at most, and its row says so. (The kernel's camera numbers what it delivers: a number that the controller
+# itself got wrong would be missing in every try.)
 capture() {
   local tries=1 row
   until capture_once "$tries" "$@"; do
@@ -30,7 +31,9 @@ capture() {
 }
 stalled() {
   case "$reason" in "pre-roll: no unbroken marker code"*) return 0 ;; esac
-  [ $# -eq 3 ] && [ -z "$control" ] && [ "$detected" = "sequence gap: 1" ]
+  [ $# -eq 3 ] && [ -z "$control" ] || return 1
+  case "$detected" in *,*) return 1 ;; "sequence gap: "*) return 0 ;; esac
+  return 1
 }
 # One try; leaves `row`, `detected` and `reason`, fails where the verdict does.
 capture_once() {
