@@ -23,10 +23,10 @@ struct Seen {
   double log_cos = 0.0;  // of the lamp's incidence
 };
 
-// One scale: both pictures on bins of `bin` x `bin` quads.
+// The first picture at one scale, on bins of `bin` x `bin` quads.
 struct Level {
   int bin = 1;
-  Image<float> to;  // LogLight
+  Image<uint8_t> used;  // bins that are lit
   std::vector<Seen> seen;
   std::vector<Vector6> slopes;  // d residual / d motion, less its mean about the quad
 };
@@ -105,11 +105,16 @@ Vector6 SlopeOf(const Scene& scene, const Seen& seen, const Eigen::Vector2d& gra
   return slope;
 }
 
-Level MakeLevel(const Scene& scene, int bin, const Image<float>& from, const Image<float>& to,
-                const Image<uint8_t>& lit, const FlowOptions& options) {
+Image<float> LightOn(const Level& level, const Image<float>& picture, const FlowOptions& options) {
+  return LogLight(level.bin == 1 ? picture : Binned(picture, level.bin), level.used, options.fine_quads);
+}
+
+Level MakeLevel(const Scene& scene, int bin, const Image<float>& from, const Image<uint8_t>& lit,
+                const FlowOptions& options) {
   Level level;
   level.bin = bin;
-  Image<uint8_t> used(from.width() / bin, from.height() / bin);
+  level.used = Image<uint8_t>(from.width() / bin, from.height() / bin);
+  Image<uint8_t>& used = level.used;
   for (int y = 0; y < used.height(); ++y)
     for (int x = 0; x < used.width(); ++x) {
       used(x, y) = 1;
@@ -117,8 +122,7 @@ Level MakeLevel(const Scene& scene, int bin, const Image<float>& from, const Ima
         for (int a = 0; a < bin; ++a)
           if (lit(bin * x + a, bin * y + b) == 0) used(x, y) = 0;
     }
-  const Image<float> first = LogLight(bin == 1 ? from : Binned(from, bin), used, options.fine_quads);
-  level.to = LogLight(bin == 1 ? to : Binned(to, bin), used, options.fine_quads);
+  const Image<float> first = LightOn(level, from, options);
   Image<float> slopes(first.width(), first.height(), 6, std::nanf(""));
   const double per_px = 0.5 / PixelsPerBin(scene.camera, bin);
   for (int y = 1; y + 1 < first.height(); ++y)
@@ -157,11 +161,11 @@ std::vector<double> ValuesOf(const Level& level, const Image<float>& field) {
   return values;
 }
 
-// Logarithm of the second picture over what the first one, moved and turned in its light, would be, less its mean about
-// each quad; NaN where the second is not known.
-std::vector<double> ResidualsOf(const Scene& scene, const Level& level, const Rigid3& moved,
+// Logarithm of the later picture `to` (LightOn) over what the first one, moved and turned in its light, would be, less
+// its mean about each quad; NaN where the later one is not known.
+std::vector<double> ResidualsOf(const Scene& scene, const Level& level, const Image<float>& to, const Rigid3& moved,
                                 const FlowOptions& options) {
-  Image<float> field(level.to.width(), level.to.height(), 1, std::nanf(""));
+  Image<float> field(to.width(), to.height(), 1, std::nanf(""));
   ParallelFor(static_cast<int64_t>(level.seen.size()), 4096, [&](int64_t begin, int64_t end) {
     for (auto k = static_cast<size_t>(begin); k < static_cast<size_t>(end); ++k) {
       const Seen& seen = level.seen[k];
@@ -169,7 +173,7 @@ std::vector<double> ResidualsOf(const Scene& scene, const Level& level, const Ri
       const auto pixel = scene.camera.model.Project(point);
       if (!pixel) continue;
       const double expected = double(seen.log_light) + scene.LogCos(point, moved.rotation * seen.normal) - seen.log_cos;
-      field(seen.x, seen.y) = static_cast<float>(CubicAt(level.to, OnBins(scene.camera, level.bin, *pixel)) - expected);
+      field(seen.x, seen.y) = static_cast<float>(CubicAt(to, OnBins(scene.camera, level.bin, *pixel)) - expected);
     }
   });
   // A highlight that came or went is not to shift the mean about it.
@@ -198,12 +202,13 @@ struct Solved {
 
 // Gauss-Newton with Tukey's weights; the pictures' noise is that of their own residuals, of which a Gaussian of the
 // detail's width makes one of 4 pi sigma^2.
-Solved Solve(const Scene& scene, const Level& level, const Vector6& guess, const FlowOptions& options) {
+Solved Solve(const Scene& scene, const Level& level, const Image<float>& to, const Vector6& guess,
+             const FlowOptions& options) {
   const double alike = 4.0 * std::numbers::pi * options.fine_quads * options.fine_quads;
   const Vector6 prior = PriorOf(options);
   Solved solved{guess, Matrix6::Zero(), 0, 0.0};
   for (int iteration = 0; iteration < options.iterations; ++iteration) {
-    const auto residuals = ResidualsOf(scene, level, SmallMotion::From(solved.motion).About(scene.pivot), options);
+    const auto residuals = ResidualsOf(scene, level, to, SmallMotion::From(solved.motion).About(scene.pivot), options);
     solved.residual = std::max(1e-9, RobustDeviation(residuals));
     const double limit = options.robust_scale * solved.residual;
     const double per_unit = 1.0 / (alike * solved.residual * solved.residual);
@@ -224,6 +229,31 @@ Solved Solve(const Scene& scene, const Level& level, const Vector6& guess, const
     if (step.head<3>().norm() * 100.0 + step.tail<3>().norm() < 1e-4) break;
   }
   return solved;
+}
+
+std::optional<RigidFlow> FlowOf(const Scene& scene, std::span<const Level> levels, const Image<float>& to,
+                                const SmallMotion& guess, const FlowOptions& options) {
+  const Level& fine = levels.back();
+  const auto tells = [&](const Level& level) { return static_cast<int>(level.seen.size()) >= options.least_quads; };
+  if (!tells(fine)) return std::nullopt;
+  Vector6 motion = guess.Vector();
+  for (const Level& coarse : levels.first(levels.size() - 1))
+    if (tells(coarse)) motion = Solve(scene, coarse, LightOn(coarse, to, options), motion, options).motion;
+  const Image<float> light = LightOn(fine, to, options);
+  const Solved solved = Solve(scene, fine, light, motion, options);
+  if (solved.quads < options.least_quads || !solved.motion.allFinite()) return std::nullopt;
+  Vector6 model;
+  model << Eigen::Vector3d::Constant(options.model_sigma_rad), options.model_sigma_mm, options.model_sigma_mm,
+      options.model_sigma_depth_mm;
+  RigidFlow flow;
+  flow.motion = SmallMotion::From(solved.motion);
+  flow.covariance = Matrix6(solved.information + Matrix6(PriorOf(options).asDiagonal())).inverse();
+  flow.chi_squared = solved.motion.dot(Vector6(solved.information * solved.motion));
+  flow.covariance += Matrix6(model.cwiseAbs2().asDiagonal());
+  flow.quads = solved.quads;
+  flow.residual = solved.residual;
+  flow.residual_still = RobustDeviation(ResidualsOf(scene, fine, light, {}, options));
+  return flow;
 }
 
 }  // namespace
@@ -251,33 +281,21 @@ Status FlowOptions::Validate() const {
                                             : Status::Usage("motion: iterations must be 1 or more, least_quads 6");
 }
 
-std::optional<RigidFlow> FindRigidFlow(const Image<float>& from, const Image<float>& to, const Image<uint8_t>& lit,
-                                       const SurfaceMap& surface, const CameraCalibration& camera,
-                                       const Eigen::Vector3d& light_mm, const Eigen::Vector3d& pivot,
-                                       const SmallMotion& guess, const FlowOptions& options) {
+std::vector<std::optional<RigidFlow>> FindRigidFlows(const Image<float>& from, std::span<const Image<float>> later,
+                                                     const Image<uint8_t>& lit, const SurfaceMap& surface,
+                                                     const CameraCalibration& camera, const Eigen::Vector3d& light_mm,
+                                                     const Eigen::Vector3d& pivot, const FlowOptions& options) {
   const Scene scene{surface, camera, light_mm, pivot};
-  Vector6 motion = guess.Vector();
-  if (from.width() > options.coarse_above_quads) {
-    const Level coarse = MakeLevel(scene, 4, from, to, lit, options);
-    if (static_cast<int>(coarse.seen.size()) >= options.least_quads)
-      motion = Solve(scene, coarse, motion, options).motion;
+  std::vector<Level> levels;  // the finest last
+  if (from.width() > options.coarse_above_quads) levels.push_back(MakeLevel(scene, 4, from, lit, options));
+  levels.push_back(MakeLevel(scene, 1, from, lit, options));
+  std::vector<std::optional<RigidFlow>> flows;
+  SmallMotion last;
+  for (const Image<float>& to : later) {
+    flows.push_back(FlowOf(scene, levels, to, last, options));
+    if (flows.back()) last = flows.back()->motion;
   }
-  const Level fine = MakeLevel(scene, 1, from, to, lit, options);
-  if (static_cast<int>(fine.seen.size()) < options.least_quads) return std::nullopt;
-  const Solved solved = Solve(scene, fine, motion, options);
-  if (solved.quads < options.least_quads || !solved.motion.allFinite()) return std::nullopt;
-  Vector6 model;
-  model << Eigen::Vector3d::Constant(options.model_sigma_rad), options.model_sigma_mm, options.model_sigma_mm,
-      options.model_sigma_depth_mm;
-  RigidFlow flow;
-  flow.motion = SmallMotion::From(solved.motion);
-  flow.covariance = Matrix6(solved.information + Matrix6(PriorOf(options).asDiagonal())).inverse();
-  flow.chi_squared = solved.motion.dot(Vector6(solved.information * solved.motion));
-  flow.covariance += Matrix6(model.cwiseAbs2().asDiagonal());
-  flow.quads = solved.quads;
-  flow.residual = solved.residual;
-  flow.residual_still = RobustDeviation(ResidualsOf(scene, fine, {}, options));
-  return flow;
+  return flows;
 }
 
 }  // namespace stratalux::fit

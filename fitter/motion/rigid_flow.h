@@ -5,6 +5,8 @@
 #include <Eigen/Core>
 #include <cstdint>
 #include <optional>
+#include <span>
+#include <vector>
 
 #include "fitter/motion/skin_detail.h"
 #include "fitter/reconstruction/surface_map.h"
@@ -55,13 +57,13 @@ struct RigidFlow {
   double chi_squared = 0.0;  // of the motion by the data alone: of a head at rest 6 in the mean
 };
 
-// `from`, `to`: light on quads, W x H x C, above black, NaN where saturated, of a lamp at `light_mm` (camera frame);
-// `lit`: 1 where it shines on the surface, which is that of `from`. `guess`: where to begin. nullopt where too little
-// is lit, or nothing but the prior says anything.
-[[nodiscard]] std::optional<RigidFlow> FindRigidFlow(const Image<float>& from, const Image<float>& to,
-                                                     const Image<uint8_t>& lit, const SurfaceMap& surface,
-                                                     const CameraCalibration& camera, const Eigen::Vector3d& light_mm,
-                                                     const Eigen::Vector3d& pivot, const SmallMotion& guess = {},
-                                                     const FlowOptions& options = {});
+// Of a head in `from`, how it lies in each of the `later` pictures; each is begun where the one before was found. All
+// show light on quads, W x H x C, above black, NaN where saturated, of a lamp at `light_mm` (camera frame); `lit`: 1
+// where it shines on the surface, which is that of `from`. nullopt where too little is lit, or nothing but the prior
+// says anything.
+[[nodiscard]] std::vector<std::optional<RigidFlow>> FindRigidFlows(
+    const Image<float>& from, std::span<const Image<float>> later, const Image<uint8_t>& lit, const SurfaceMap& surface,
+    const CameraCalibration& camera, const Eigen::Vector3d& light_mm, const Eigen::Vector3d& pivot,
+    const FlowOptions& options = {});
 
 }  // namespace stratalux::fit

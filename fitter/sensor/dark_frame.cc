@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/sensor/dark_frame.h"
 
+#include <Eigen/Core>
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <span>
 #include <vector>
 
-#include "shared/base/parallel.h"
+#include "shared/base/parallel_each.h"
 #include "shared/geometry/quad.h"
 #include "shared/image/box_sums.h"
 
@@ -33,26 +35,6 @@ float NoiseSigma(float level_dn, int count, const CameraCalibration& camera) {
   return static_cast<float>(std::sqrt(NoiseVariance(level_dn, count, camera)));
 }
 
-// Mean of the neighbours that lie near their median.
-float LocalMean(const MeanFrame& mean, int x, int y, int step, const CameraCalibration& camera) {
-  std::array<float, (2 * kReach + 1) * (2 * kReach + 1)> values{};
-  size_t n = 0;
-  for (int j = y - kReach * step; j <= y + kReach * step; j += step)
-    for (int i = x - kReach * step; i <= x + kReach * step; i += step)
-      if (mean.dn.contains(i, j)) values[n++] = mean.dn(i, j);
-  auto middle = values.begin() + static_cast<std::ptrdiff_t>(n / 2);
-  std::nth_element(values.begin(), middle, values.begin() + static_cast<std::ptrdiff_t>(n));
-  const float median = *middle, limit = kOutlierSigmas * NoiseSigma(median, mean.count, camera);
-  float sum = 0.0F;
-  int kept = 0;
-  for (size_t k = 0; k < n; ++k)
-    if (std::abs(values[k] - median) <= limit) {
-      sum += values[k];
-      ++kept;
-    }
-  return sum / static_cast<float>(kept);  // the median itself is always kept
-}
-
 // One colour's sites of a mosaic, (first_x + step i, first_y + step j).
 struct Sites {
   int first_x = 0, first_y = 0, step = 1, width = 0, height = 0;
@@ -65,6 +47,69 @@ void ForEachSite(const Sites& sites, const Each& each) {
   ParallelFor(sites.height, 16, [&](int64_t begin, int64_t end) {
     for (int j = static_cast<int>(begin); j < end; ++j)
       for (int i = 0; i < sites.width; ++i) each(i, j);
+  });
+}
+
+constexpr int kWindow = (2 * kReach + 1) * (2 * kReach + 1);
+constexpr int kTogether = 8;  // sites whose windows are sorted side by side
+using Values = Eigen::Array<float, kTogether, 1>;
+using Windows = std::array<Values, kWindow>;
+
+// By forgetful selection: of half of the values and one more, neither the least nor the greatest is the median of all.
+Values MedianOf(Windows values) {
+  size_t first = 0;
+  constexpr size_t kLast = kWindow / 2 + 1;
+  const auto sort = [&](size_t a, size_t b) {
+    const Values least = values[a].min(values[b]);
+    values[b] = values[a].max(values[b]);
+    values[a] = least;
+  };
+  for (size_t next = kLast + 1;; ++next) {
+    for (size_t k = first + 1; k <= kLast; ++k) sort(first, k);
+    ++first;
+    for (size_t k = first; k < kLast; ++k) sort(k, kLast);
+    if (next == kWindow) return values[first];
+    values[kLast] = values[next];
+  }
+}
+
+// Of a line of one colour's plane, means of those around each site that lie near their median. Beyond the picture its
+// outermost sites are repeated.
+void MeansAround(const Image<float>& plane, int j, int count, const CameraCalibration& camera, std::span<float> means) {
+  const int width = plane.width();
+  std::array<std::vector<float>, 2 * kReach + 1> lines;
+  for (int b = 0; b < std::ssize(lines); ++b) {
+    const int y = std::clamp(j + b - kReach, 0, plane.height() - 1);
+    for (int i = -kReach; i < width + kReach + kTogether; ++i)
+      lines[static_cast<size_t>(b)].push_back(plane(std::clamp(i, 0, width - 1), y));
+  }
+  for (int i = 0; i < width; i += kTogether) {
+    Windows windows;
+    for (size_t k = 0; k < windows.size(); ++k)
+      windows[k] = Eigen::Map<const Values>(lines[k / lines.size()].data() + i + k % lines.size());
+    const Values median = MedianOf(windows);
+    Values limit, sum = Values::Zero(), kept = Values::Zero();
+    for (int k = 0; k < kTogether; ++k) limit[k] = kOutlierSigmas * NoiseSigma(median[k], count, camera);
+    for (const Values& value : windows) {
+      const auto near = (value - median).abs() <= limit;
+      sum += near.select(value, 0.0F);
+      kept += near.cast<float>();
+    }
+    sum /= kept;  // the median itself is always kept
+    std::copy_n(sum.data(), std::min(kTogether, width - i), means.begin() + i);
+  }
+}
+
+void TakeMeansAround(const Sites& sites, const MeanFrame& black, const CameraCalibration& camera,
+                     Image<float>& estimate) {
+  Image<float> plane(sites.width, sites.height);
+  ForEachSite(sites, [&](int i, int j) { plane(i, j) = black.dn(sites.X(i), sites.Y(j)); });
+  ParallelFor(sites.height, 16, [&](int64_t begin, int64_t end) {
+    std::vector<float> means(static_cast<size_t>(sites.width));
+    for (int j = static_cast<int>(begin); j < end; ++j) {
+      MeansAround(plane, j, black.count, camera, means);
+      for (int i = 0; i < sites.width; ++i) estimate(sites.X(i), sites.Y(j)) = means[static_cast<size_t>(i)];
+    }
   });
 }
 
@@ -149,24 +194,24 @@ Image<float> QuietDarkFrame(const MeanFrame& black, const CameraCalibration& cam
   const int width = black.dn.width(), height = black.dn.height();
   Image<float> estimate(width, height);
   Image<uint8_t> guided(width, height);
-  for (int first_y = 0; first_y < step; ++first_y)
-    for (int first_x = 0; first_x < step; ++first_x) {
-      const Sites sites = {first_x, first_y, step, (width - first_x + step - 1) / step,
-                           (height - first_y + step - 1) / step};
-      ForEachSite(sites, [&](int i, int j) {
-        const int x = sites.X(i), y = sites.Y(j);
-        estimate(x, y) = LocalMean(black, x, y, step, camera);
-      });
-      // Twice: near an edge of light the mean of neighbours takes good sites for hot ones.
-      for (int pass = 0; pass < 2 && !white.dn.empty(); ++pass)
-        GuideByWhite(sites, black, white, camera, estimate, guided);
-      if (!white.dn.empty()) AddWhatNoLineFits(sites, black, camera, guided, estimate);
-    }
+  ParallelEach(static_cast<size_t>(step) * step, [&](size_t colour) {
+    const int first_x = static_cast<int>(colour) % step, first_y = static_cast<int>(colour) / step;
+    const Sites sites = {first_x, first_y, step, (width - first_x + step - 1) / step,
+                         (height - first_y + step - 1) / step};
+    TakeMeansAround(sites, black, camera, estimate);
+    // Twice: near an edge of light the mean of neighbours takes good sites for hot ones.
+    for (int pass = 0; pass < 2 && !white.dn.empty(); ++pass)
+      GuideByWhite(sites, black, white, camera, estimate, guided);
+    if (!white.dn.empty()) AddWhatNoLineFits(sites, black, camera, guided, estimate);
+  });
   // Deviations in units of the noise.
   const auto levels = black.dn.pixels();
   std::vector<float> deviations(levels.size());
-  for (size_t i = 0; i < deviations.size(); ++i)
-    deviations[i] = std::abs(levels[i] - estimate.pixels()[i]) / NoiseSigma(estimate.pixels()[i], black.count, camera);
+  ParallelFor(std::ssize(deviations), 1 << 15, [&](int64_t begin, int64_t end) {
+    for (auto i = static_cast<size_t>(begin); i < static_cast<size_t>(end); ++i)
+      deviations[i] =
+          std::abs(levels[i] - estimate.pixels()[i]) / NoiseSigma(estimate.pixels()[i], black.count, camera);
+  });
   const std::array<float, 2> shares = {UnexplainedShare(deviations, guided, 0),
                                        UnexplainedShare(deviations, guided, 1)};
   for (size_t i = 0; i < deviations.size(); ++i) {

@@ -52,26 +52,40 @@ double MeanMoment(const SessionFrames& frames, const FaceMotion& motion, int pro
   return count > 0 ? sum / count : 0.0;
 }
 
-Result<ProjectorFlows> FlowsOf(const SessionFrames& frames, const FaceMotion& motion, int projector,
-                               const std::vector<const db::FrameRow*>& whites, const SurfaceMap& surface,
-                               const Image<uint8_t>& lit, const Eigen::Vector3d& pivot) {
+// The first white of a projector, and the later ones, on quads.
+struct WhiteLight {
+  Image<float> first;
+  std::vector<Image<float>> later;
+};
+
+Result<WhiteLight> LightOf(const SessionFrames& frames, int projector, const std::vector<const db::FrameRow*>& whites) {
+  WhiteLight light;
+  if (whites.size() < 2 || !frames.HasBlack(projector)) return light;
+  SLX_ASSIGN_OR_RETURN(const auto dark, frames.MeanBlack(projector));
+  for (const db::FrameRow* white : whites) {
+    SLX_ASSIGN_OR_RETURN(const auto frame, frames.ReadLinear(*white));
+    Image<float> quads = QuadSignal(frame, dark, frames.calibration()->camera);
+    if (light.first.empty())
+      light.first = std::move(quads);
+    else
+      light.later.push_back(std::move(quads));
+  }
+  return light;
+}
+
+ProjectorFlows FlowsOf(const SessionFrames& frames, const FaceMotion& motion, int projector,
+                       const std::vector<const db::FrameRow*>& whites, const WhiteLight& light,
+                       const SurfaceMap& surface, const Image<uint8_t>& lit, const Eigen::Vector3d& pivot) {
   ProjectorFlows flows;
   flows.projector = projector;
   flows.first_s = motion.SecondsOf(whites.front()->record.trigger_time);
-  if (whites.size() < 2) return flows;
-  const CameraCalibration& camera = frames.calibration()->camera;
-  SLX_ASSIGN_OR_RETURN(const auto dark, frames.MeanBlack(projector));
-  SLX_ASSIGN_OR_RETURN(const auto first, frames.ReadLinear(*whites.front()));
-  const Image<float> from = QuadSignal(first, dark, camera);
-  const Eigen::Vector3d lamp = frames.calibration()->projectors[static_cast<size_t>(projector)].CentreInCamera();
-  SmallMotion last;
-  for (size_t k = 1; k < whites.size(); ++k) {
-    SLX_ASSIGN_OR_RETURN(const auto later, frames.ReadLinear(*whites[k]));
-    auto flow = FindRigidFlow(from, QuadSignal(later, dark, camera), lit, surface, camera, lamp, pivot, last);
-    if (flow) last = flow->motion;
-    flows.later.push_back({motion.SecondsOf(whites[k]->record.trigger_time), std::move(flow),
+  if (light.later.empty()) return flows;
+  const RigCalibration& rig = *frames.calibration();
+  const Eigen::Vector3d lamp = rig.projectors[static_cast<size_t>(projector)].CentreInCamera();
+  auto found = FindRigidFlows(light.first, light.later, lit, surface, rig.camera, lamp, pivot);
+  for (size_t k = 1; k < whites.size(); ++k)
+    flows.later.push_back({motion.SecondsOf(whites[k]->record.trigger_time), std::move(found[k - 1]),
                            frames.JumpedBetween(*whites[k - 1], *whites[k])});
-  }
   return flows;
 }
 
@@ -105,6 +119,7 @@ std::vector<double> Numbers(const SmallMotion& motion) {
 Result<FaceMotion> FindMotion(const SessionFrames& frames, std::span<const DecodedMap> decoded,
                               const SurfaceMap& surface, std::span<const Image<uint8_t>> lit) {
   FaceMotion motion;
+  motion.later_whites = 0;
   const std::optional<MonotonicNs> reference = ReferenceTime(frames, static_cast<int>(lit.size()));
   if (!reference) return motion;
   motion.reference = *reference;
@@ -112,7 +127,9 @@ Result<FaceMotion> FindMotion(const SessionFrames& frames, std::span<const Decod
   std::vector<size_t> order;
   for (size_t p = 0; p < lit.size(); ++p) {
     whites.push_back(WhitesOf(frames, static_cast<int>(p), *reference));
-    if (!whites.back().empty()) order.push_back(p);
+    if (whites.back().empty()) continue;
+    order.push_back(p);
+    *motion.later_whites += static_cast<int>(whites.back().size()) - 1;
   }
   const auto first_of = [&](size_t p) { return whites[p].front()->record.trigger_time; };
   std::ranges::sort(order, {}, first_of);
@@ -121,11 +138,15 @@ Result<FaceMotion> FindMotion(const SessionFrames& frames, std::span<const Decod
                                  MeanMoment(frames, motion, p, CapturePhase::kSeparation),
                                  MeanMoment(frames, motion, p, CapturePhase::kSweep)});
   const Eigen::Vector3d pivot = MiddleOf(surface);
-  std::vector<ProjectorFlows> flows;
+  std::vector<WhiteLight> lights;
   for (const size_t p : order) {
-    SLX_ASSIGN_OR_RETURN(flows.emplace_back(),
-                         FlowsOf(frames, motion, static_cast<int>(p), whites[p], surface, lit[p], pivot));
+    SLX_ASSIGN_OR_RETURN(lights.emplace_back(), LightOf(frames, static_cast<int>(p), whites[p]));
   }
+  std::vector<ProjectorFlows> flows(order.size());
+  ParallelEach(order.size(), [&](size_t k) {
+    const size_t p = order[k];
+    flows[k] = FlowsOf(frames, motion, static_cast<int>(p), whites[p], lights[k], surface, lit[p], pivot);
+  });
   motion.head = TrackHead(flows, CodesFlowsOf(decoded, *frames.calibration(), surface, pivot, motion), pivot, surface);
   return motion;
 }
@@ -156,9 +177,19 @@ std::vector<SeparationMap> AtReference(std::span<const SeparationMap> separation
   return carried;
 }
 
+std::string WhyUnknown(const FaceMotion& motion) {
+  if (!motion.later_whites)
+    return motion.projectors.empty() ? "it was not looked for"
+                                     : "no two white frames of one projector show enough of the face";
+  if (*motion.later_whites == 0) return "finding it takes two white frames of one projector";
+  return Formatted("%d white frames after the first ones of their projectors, but in none do enough quads tell: ",
+                   *motion.later_whites) +
+         Formatted("it takes %d that are lit and not saturated", FlowOptions().least_quads);
+}
+
 std::string Describe(const FaceMotion& motion) {
   const HeadMotion& head = motion.head;
-  if (head.poses.empty()) return "motion of the head: unknown (finding it takes two white frames of one projector)";
+  if (head.poses.empty()) return "motion of the head: unknown (" + WhyUnknown(motion) + ")";
   const std::string size = Formatted("%.3f mm at most (noise: %.3f mm)", head.largest_mm, head.sigma_mm);
   return head.moved ? "the head moved by " + size + ": everything is carried to the moment of the first white frame"
                     : "the head held still: moved by " + size;
@@ -171,6 +202,8 @@ Status SaveMotion(const std::filesystem::path& folder, const FaceMotion& motion)
     poses.push_back({{"seconds", pose.seconds}, {"turn_rad_shift_mm", Numbers(pose.motion)}});
   for (const ProjectorMoments& m : motion.projectors)
     projectors.push_back({{"codes_s", m.codes_s}, {"separation_s", m.separation_s}, {"sweep_s", m.sweep_s}});
+  const auto later_whites =
+      motion.later_whites ? nlohmann::ordered_json(*motion.later_whites) : nlohmann::ordered_json();
   return WriteJson(folder / "motion.json", {{"moved", head.moved},
                                             {"largest_mm", head.largest_mm},
                                             {"sigma_mm", head.sigma_mm},
@@ -179,7 +212,8 @@ Status SaveMotion(const std::filesystem::path& folder, const FaceMotion& motion)
                                             {"reference_ns", motion.reference.ns},
                                             {"pivot_mm", {head.pivot.x(), head.pivot.y(), head.pivot.z()}},
                                             {"poses", poses},
-                                            {"projectors", projectors}});
+                                            {"projectors", projectors},
+                                            {"later_whites", later_whites}});
 }
 
 Result<FaceMotion> LoadMotion(const std::filesystem::path& folder) {
@@ -202,6 +236,8 @@ Result<FaceMotion> LoadMotion(const std::filesystem::path& folder) {
     }
     for (const auto& m : json.at("projectors"))
       motion.projectors.push_back({m.at("codes_s"), m.at("separation_s"), m.at("sweep_s")});
+    if (const auto whites = json.find("later_whites"); whites != json.end() && !whites->is_null())
+      motion.later_whites = whites->get<int>();
   }));
   return motion;
 }

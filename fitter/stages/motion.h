@@ -4,7 +4,9 @@
 #pragma once
 
 #include <filesystem>
+#include <optional>
 #include <span>
+#include <string>
 #include <vector>
 
 #include "fitter/motion/head_motion.h"
@@ -25,6 +27,8 @@ struct FaceMotion {
   HeadMotion head;
   MonotonicNs reference;                     // by the frames' trigger times
   std::vector<ProjectorMoments> projectors;  // empty: nothing was asked
+  // White frames after each projector's first, all together; nullopt: nothing was asked, or an older fit does not say.
+  std::optional<int> later_whites;
 
   [[nodiscard]] bool moved() const { return head.moved; }
   [[nodiscard]] double SecondsOf(MonotonicNs time) const { return ToMilliseconds(time - reference) / 1000.0; }
@@ -49,6 +53,8 @@ struct FaceMotion {
 
 // For people: by how much it moved.
 [[nodiscard]] std::string Describe(const FaceMotion& motion);
+// What was lacking to find it, where there are no poses.
+[[nodiscard]] std::string WhyUnknown(const FaceMotion& motion);
 
 // motion.json; without it (a fit of an earlier version) nothing is known.
 Status SaveMotion(const std::filesystem::path& folder, const FaceMotion& motion);

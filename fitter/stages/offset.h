@@ -15,7 +15,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kOffsetVersion = 15, kPlacedShapeVersion = 6;
+inline constexpr int kOffsetVersion = 15, kPlacedShapeVersion = 7;
 
 struct FaceOffset {
   SurfaceOffset found;

@@ -14,7 +14,7 @@
 
 namespace stratalux::fit {
 
-inline constexpr int kShapeVersion = 10;
+inline constexpr int kShapeVersion = 11;
 
 struct FaceShape {
   RigCalibration record;  // of the rig that it stands in, as a manifest has it

@@ -29,6 +29,12 @@ SmallMotion Random6(uint64_t seed, double shift_mm, double turn_rad) {
   return motion;
 }
 
+std::optional<RigidFlow> FindRigidFlow(const Image<float>& from, const Image<float>& to, const Image<uint8_t>& lit,
+                                       const SurfaceMap& surface, const CameraCalibration& camera,
+                                       const Eigen::Vector3d& light_mm, const Eigen::Vector3d& pivot) {
+  return FindRigidFlows(from, std::span(&to, 1), lit, surface, camera, light_mm, pivot).front();
+}
+
 TEST(RigidFlow, FindsTheMotionUnderAFixedLightFromDifferentHeads) {
   for (const uint64_t seed : {1, 2, 3}) {
     const SpeckledBall ball(seed);
@@ -41,6 +47,26 @@ TEST(RigidFlow, FindsTheMotionUnderAFixedLightFromDifferentHeads) {
     EXPECT_LT(Apart(surface, flow->motion.About(pivot), truth.About(pivot)), 0.05)
         << seed << ": found " << flow->motion.Vector().transpose() << ", true " << truth.Vector().transpose();
     EXPECT_GT(Apart(surface, {}, truth.About(pivot)), 0.3);
+  }
+}
+
+// Each as if it were the only one, and one that shows nothing takes nothing from those after it.
+TEST(RigidFlow, FindsEachOfSeveralLaterPictures) {
+  const SpeckledBall ball(4);
+  const SurfaceMap surface = ball.Surface();
+  const Eigen::Vector3d pivot = SpeckledBall::kCentre;
+  const Image<float> first = ball.Picture({}, 0.005, 9);
+  std::vector<Image<float>> later;
+  for (const uint64_t k : {1, 2, 3}) later.push_back(ball.Picture(Random6(k, 0.6, 0.005).About(pivot), 0.005, k));
+  later.insert(later.begin() + 1, Image<float>(ball.width(), ball.height(), 1, std::nanf("")));
+  const auto flows = FindRigidFlows(first, later, ball.Lit(), surface, ball.camera(), SpeckledBall::kLight, pivot);
+  ASSERT_EQ(flows.size(), later.size());
+  EXPECT_FALSE(flows[1]);
+  for (const size_t k : {0, 2, 3}) {
+    const auto alone = FindRigidFlow(first, later[k], ball.Lit(), surface, ball.camera(), SpeckledBall::kLight, pivot);
+    ASSERT_TRUE(flows[k] && alone) << k;
+    EXPECT_LT(Apart(surface, flows[k]->motion.About(pivot), alone->motion.About(pivot)), 0.01) << k;
+    EXPECT_GT(Apart(surface, flows[k]->motion.About(pivot), {}), 0.2) << k;
   }
 }
 
