@@ -53,8 +53,11 @@ class [[nodiscard]] Status {
 template <typename T>
 class [[nodiscard]] Result {
  public:
-  Result(T value) : value_(std::move(value)) {}          // NOLINT(google-explicit-constructor)
-  Result(Status status) : status_(std::move(status)) {}  // NOLINT(google-explicit-constructor)
+  Result(T value) : value_(std::move(value)) {}  // NOLINT(google-explicit-constructor)
+  // An error: without one a caller would take what was never made for made.
+  Result(Status status)  // NOLINT(google-explicit-constructor)
+      : status_(status.ok() ? Status::Failed("neither a value nor an error (a fault of the program)")
+                            : std::move(status)) {}
 
   [[nodiscard]] bool ok() const { return value_.has_value(); }
   [[nodiscard]] const Status& status() const { return status_; }

@@ -12,6 +12,14 @@
 namespace stratalux {
 namespace {
 
+// A success where an error belongs would be passed on as one, and what was never made be taken for made.
+TEST(Result, OfASuccessIsAnError) {
+  const Result<int> nothing(Status::Ok());
+  EXPECT_FALSE(nothing.ok());
+  EXPECT_EQ(nothing.status().code(), StatusCode::kFailed);
+  EXPECT_TRUE(Result<int>(3).ok());
+}
+
 TEST(ParallelFor, VisitsEveryItemOnceWhateverTheThreads) {
   for (int threads : {1, 2, 5}) {
     std::vector<std::atomic<int>> visits(1001);
