@@ -27,9 +27,10 @@ add_compile_options(-Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wno-sign-con
 if(CMAKE_CXX_COMPILER_ID MATCHES "Clang")
   add_compile_options(-Wno-unknown-warning-option)
 endif()
-# Sources that are compiled several together look like headers to it.
+# Sources that are compiled several together look like headers to it; and they take some 0.9 GB, which GCC would otherwise
+# collect again and again from 128 MB on: a twelfth of its time.
 if(CMAKE_UNITY_BUILD AND CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
-  add_compile_options(-Wno-subobject-linkage)
+  add_compile_options(-Wno-subobject-linkage --param=ggc-min-heapsize=1000000)
 endif()
 if(STRATALUX_WERROR)
   add_compile_options(-Werror)
