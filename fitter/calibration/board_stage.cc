@@ -100,7 +100,7 @@ Result<PoseObservation> ObservePose(const SessionFrames& frames, int pose, const
                                    std::vector<std::optional<Eigen::Vector2d>>(known.projectors.size())});
   for (int p = 0; p < projectors; ++p) {
     const std::string name = "projector " + std::to_string(p);
-    if (const std::string note = UnreadSinusoids(frames, p, pose); !note.empty()) logger.Warning(note);
+    if (const std::string note = UnreadPatterns(frames, p, pose); !note.empty()) logger.Warning(note);
     SLX_ASSIGN_OR_RETURN(const auto decoded, DecodeProjector(frames, p, pose, code.columns, code.rows, noise));
     auto seen = LookUpCorners(decoded.map, corners, {code.columns, code.rows}, options.observe);
     if (!seen.ok()) return seen.status().WithContext(name);

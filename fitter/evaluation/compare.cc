@@ -109,8 +109,14 @@ struct Target {
 
 Result<Target> ReadTarget(const CompareInput& in, const std::string& light) {
   const CameraCalibration& camera = in.frames.calibration()->camera;
-  SLX_ASSIGN_OR_RETURN(
-      const auto raw, in.frames.Read(in.view.projector, HeldOutPhase(light), HeldOutPattern(light, *in.frames.plan())));
+  const Pattern pattern = HeldOutPattern(light, *in.frames.plan());
+  const db::FrameRow* row = in.frames.Find(in.view.projector, HeldOutPhase(light), pattern);
+  if (row == nullptr) {
+    const auto takes = HeldOutTakesOf(in.frames, in.view.projector, light);
+    if (takes.empty()) return in.frames.Require(in.view.projector, HeldOutPhase(light), pattern).status();
+    row = takes.front();
+  }
+  SLX_ASSIGN_OR_RETURN(const auto raw, in.frames.ReadLinear(*row));
   Target target;
   target.variance = QuadVariance(raw, camera);
   const auto factor = static_cast<float>(HeldOutFactor(light, *in.frames.plan()));

@@ -16,18 +16,6 @@ bool IsTake(const FrameRecord& r, int projector, const std::string& light, const
          r.level_check != LevelCheck::kFailed;
 }
 
-// The last good shot of each step, in the order of the steps.
-std::vector<const db::FrameRow*> TakesOf(const SessionFrames& frames, int projector, const std::string& light) {
-  const Pattern pattern = HeldOutPattern(light, *frames.plan());
-  std::map<int, const db::FrameRow*> of_step;
-  for (const db::FrameRow& row : frames.rows())
-    if (IsTake(row.record, projector, light, pattern)) of_step[row.record.step] = &row;
-  std::vector<const db::FrameRow*> takes;
-  for (const auto& [step, row] : of_step) takes.push_back(row);
-  if (takes.size() % 2 == 1) takes.erase(takes.begin() + static_cast<int64_t>(takes.size() / 2));
-  return takes;
-}
-
 }  // namespace
 
 Pattern HeldOutPattern(const std::string& light, const PlanOptions& plan) {
@@ -45,6 +33,16 @@ double HeldOutFactor(const std::string& light, const PlanOptions& plan) {
   return light == "white" ? 1.0 : plan.BracketsOf(HeldOutPhase(light))[0];
 }
 
+std::vector<const db::FrameRow*> HeldOutTakesOf(const SessionFrames& frames, int projector, const std::string& light) {
+  const Pattern pattern = HeldOutPattern(light, *frames.plan());
+  std::map<int, const db::FrameRow*> of_step;
+  for (const db::FrameRow& row : frames.rows())
+    if (IsTake(row.record, projector, light, pattern)) of_step[row.record.step] = &row;
+  std::vector<const db::FrameRow*> takes;
+  for (const auto& [step, row] : of_step) takes.push_back(row);
+  return takes;
+}
+
 Result<Image<float>> HeldOutBlack(const SessionFrames& frames, int projector, const std::string& light) {
   const double factor = HeldOutFactor(light, *frames.plan());
   return factor == 1.0 ? frames.MeanBlack(projector) : frames.MeanBlack(projector, factor);
@@ -54,7 +52,8 @@ Result<HeldOutTarget> ReadHeldOutTarget(const SessionFrames& frames, int project
   if (!frames.plan() || !frames.calibration())
     return Status::NotFound("session " + frames.info().id +
                             " has no plan or no calibration: which frames are takes is not known");
-  const std::vector<const db::FrameRow*> takes = TakesOf(frames, projector, light);
+  std::vector<const db::FrameRow*> takes = HeldOutTakesOf(frames, projector, light);
+  if (takes.size() % 2 == 1) takes.erase(takes.begin() + static_cast<int64_t>(takes.size() / 2));
   if (takes.size() < 2)
     return Status::NotFound("session " + frames.info().id + " has less than two good takes of the " + light +
                             " light of projector " + std::to_string(projector) +

@@ -8,6 +8,7 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include "fitter/session/session_frames.h"
 
@@ -17,6 +18,9 @@ namespace stratalux::fit {
 [[nodiscard]] Pattern HeldOutPattern(const std::string& light, const PlanOptions& plan);
 // In which it was taken first.
 [[nodiscard]] CapturePhase HeldOutPhase(const std::string& light);
+// The last good shot of each step that shows the light at its exposure, in the order of the steps.
+[[nodiscard]] std::vector<const db::FrameRow*> HeldOutTakesOf(const SessionFrames& frames, int projector,
+                                                              const std::string& light);
 
 // Its exposure over the nominal one: phases of several exposures begin with their first, a sweep's need not be 1.
 [[nodiscard]] double HeldOutFactor(const std::string& light, const PlanOptions& plan);

@@ -217,7 +217,7 @@ std::string SessionGraph::SeparateBy(const std::string& frames_hash, bool of_all
   const std::string label = of_all ? "separate, all frames" : "separate";
   return Add({identity, label, {}, [this, of_all, key = stages_.KeyOf(identity)](const fs::path& folder) -> Status {
                 SLX_ASSIGN_OR_RETURN(const SessionFrames* frames, of_all ? AllFrames(record_) : Frames(record_));
-                SLX_ASSIGN_OR_RETURN(auto maps, SeparateFace(*frames));
+                SLX_ASSIGN_OR_RETURN(auto maps, SeparateFace(*frames, logger_));
                 SLX_RETURN_IF_ERROR(SaveSeparation(folder, maps));
                 separation_.Put(key, std::move(maps));
                 return Status::Ok();

@@ -165,6 +165,25 @@ Result<const db::FrameRow*> SessionFrames::Require(int projector, CapturePhase p
   return row;
 }
 
+const db::FrameRow* SessionFrames::FindWhite(int projector, int pose) const {
+  const Pattern white = {.kind = PatternKind::kWhite};
+  if (const db::FrameRow* row = Find(projector, CapturePhase::kReference, white, pose)) return row;
+  const auto other = std::ranges::find_if(rows_, [&](const db::FrameRow& row) {
+    const FrameRecord& r = row.record;
+    return r.projector == projector && r.pose == pose && r.pattern == white && r.bracket == 0 &&
+           r.level_check != LevelCheck::kFailed;
+  });
+  return other == rows_.end() ? nullptr : &*other;
+}
+
+bool SessionFrames::HasBlack(int projector) const {
+  return std::ranges::any_of(rows_, [&](const db::FrameRow& row) {
+    const FrameRecord& r = row.record;
+    return r.projector == projector && r.pattern.kind == PatternKind::kBlack && r.bracket == 0 &&
+           r.level_check != LevelCheck::kFailed;
+  });
+}
+
 Result<Image<uint16_t>> SessionFrames::Read(int projector, CapturePhase phase, const Pattern& pattern, int pose,
                                             int bracket) const {
   SLX_ASSIGN_OR_RETURN(const db::FrameRow* row, Require(projector, phase, pattern, pose, bracket));

@@ -53,6 +53,11 @@ class SessionFrames {
   // As Require, then decoded pixels, linear.
   [[nodiscard]] Result<Image<uint16_t>> Read(int projector, CapturePhase phase, const Pattern& pattern, int pose = -1,
                                              int bracket = 0) const;
+  // The reference white of a projector (and pose), or where it is missing the first other one of its exposure, which
+  // shows the same; nullptr: there is none.
+  [[nodiscard]] const db::FrameRow* FindWhite(int projector, int pose = -1) const;
+  // Whether MeanBlack has a frame to read.
+  [[nodiscard]] bool HasBlack(int projector) const;
   // Any frame, linear as Read gives it.
   [[nodiscard]] Result<Image<uint16_t>> ReadLinear(const db::FrameRow& row) const;
   // Any frames, linear, in their order; all threads read and decode.

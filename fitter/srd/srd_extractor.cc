@@ -195,7 +195,8 @@ SrdBatch SrdExtractor::Take() {
 
 void SrdExtractor::FillMissingFrame() {
   const auto missing = std::find(seen_.begin(), seen_.end(), 0);
-  if (missing == seen_.end()) return;
+  const bool any_lit = std::ranges::find(reason_, static_cast<uint8_t>(SrdReason::kValid)) != reason_.end();
+  if (missing == seen_.end() || !any_lit) return;
   SLX_CHECK(std::count(seen_.begin(), seen_.end(), 0) == 1 && !batch_.white.empty());
   const int samples = batch_.samples, k = static_cast<int>(missing - seen_.begin());
   ParallelFor(batch_.profiles(), 4096, [&](int64_t begin, int64_t end) {

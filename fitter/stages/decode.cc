@@ -2,12 +2,13 @@
 #include "fitter/stages/decode.h"
 
 #include <algorithm>
+#include <cmath>
 #include <optional>
-#include <set>
 #include <utility>
 
 #include "fitter/export/exr_file.h"
 #include "fitter/session/quad_signal.h"
+#include "fitter/session/sinusoid_sets.h"
 #include "fitter/stages/stage_json.h"
 #include "shared/base/parallel_each.h"
 
@@ -20,44 +21,6 @@ std::filesystem::path FileOf(const std::filesystem::path& folder, size_t project
   return folder / ("decoded_" + std::to_string(projector) + ".exr");
 }
 
-// Sinusoids of one period along an axis.
-struct SinusoidSet {
-  int period_px = 0, shifts = 0;
-  std::vector<const db::FrameRow*> rows = {};  // of those that were captured, in shift order
-
-  [[nodiscard]] bool IsWhole() const { return shifts > 0 && rows.size() == static_cast<size_t>(shifts); }
-};
-
-void FindShifts(const SessionFrames& frames, int projector, int pose, PatternAxis axis, SinusoidSet& set) {
-  for (int shift = 0; shift < set.shifts; ++shift) {
-    const db::FrameRow* row = frames.Find(
-        projector, CapturePhase::kSeparation,
-        {.kind = PatternKind::kSinusoid, .axis = axis, .period = set.period_px, .shift = shift, .shifts = set.shifts},
-        pose);
-    if (row != nullptr) set.rows.push_back(row);
-  }
-}
-
-// Of the plan, or by what an import shows; the finest whole set first.
-std::vector<SinusoidSet> SinusoidSets(const SessionFrames& frames, int projector, int pose, PatternAxis axis) {
-  std::set<std::pair<int, int>> kinds;  // period; shifts, most first
-  if (frames.plan()) {
-    kinds.emplace(frames.plan()->separation_period, -frames.plan()->separation_shifts);
-  } else {
-    for (const db::FrameRow& row : frames.rows()) {
-      const FrameRecord& r = row.record;
-      if (r.projector == projector && r.pose == pose && r.phase == CapturePhase::kSeparation &&
-          r.pattern.kind == PatternKind::kSinusoid && r.pattern.axis == axis)
-        kinds.emplace(r.pattern.period, -r.pattern.shifts);
-    }
-  }
-  std::vector<SinusoidSet> sets;
-  for (const auto& [period, shifts] : kinds)
-    FindShifts(frames, projector, pose, axis, sets.emplace_back(SinusoidSet{period, -shifts}));
-  std::ranges::stable_partition(sets, &SinusoidSet::IsWhole);
-  return sets;
-}
-
 // That the codes are refined by: of equal steps, so that one that lacks a shift is none. The bits alone are read then.
 SinusoidSet SinusoidsOf(const SessionFrames& frames, int projector, int pose, PatternAxis axis) {
   auto sets = SinusoidSets(frames, projector, pose, axis);
@@ -66,7 +29,8 @@ SinusoidSet SinusoidsOf(const SessionFrames& frames, int projector, int pose, Pa
 
 // Frames of one axis' codes, kept alive while views of them are decoded.
 struct AxisFrames {
-  std::vector<Image<uint16_t>> positive, inverse, shifts;
+  std::vector<Image<uint16_t>> positive, inverse;  // by bit; empty where the frame is missing
+  std::vector<Image<uint16_t>> shifts;
   int period_px = 0;  // of the sinusoids
 };
 
@@ -103,40 +67,63 @@ Result<CodeKind> CodeOf(const SessionFrames& frames) {
   return first ? CodeKind{first->code, first->period} : CodeKind{};
 }
 
-// Whether there is any frame of an axis' code.
-bool Captured(const SessionFrames& frames, const CodeKind& code, int projector, int pose, PatternAxis axis, int count,
-              Polarity polarity) {
+// Of an axis' code, frames that are there and patterns of those that are not.
+struct CodeFrames {
+  int found = 0;
+  std::vector<Pattern> missing;
+};
+
+// Inverses count as missing where some were captured.
+CodeFrames CodeFramesOf(const SessionFrames& frames, const CodeKind& code, int projector, int pose, PatternAxis axis,
+                        int count) {
+  CodeFrames of;
   const int bits = count > 0 ? GrayBits(count) : 0;
-  for (int bit = 0; bit < bits; ++bit)
-    if (frames.Find(projector, CapturePhase::kCorrespondence, code.Of(axis, bit, bits, polarity), pose) != nullptr)
-      return true;
-  return false;
+  for (const Polarity polarity : {Polarity::kPositive, Polarity::kInverse}) {
+    CodeFrames half;
+    for (int bit = 0; bit < bits; ++bit) {
+      const Pattern pattern = code.Of(axis, bit, bits, polarity);
+      if (frames.Find(projector, CapturePhase::kCorrespondence, pattern, pose) != nullptr)
+        ++half.found;
+      else
+        half.missing.push_back(pattern);
+    }
+    if (half.found > 0 || polarity == Polarity::kPositive)
+      of.missing.insert(of.missing.end(), half.missing.begin(), half.missing.end());
+    of.found += half.found;
+  }
+  return of;
 }
 
-// All of the code's frames, but for inverses where none was captured at all.
+// What there is of the code: a frame that is missing leaves its place empty. kNotFound: there is none at all.
 Result<AxisFrames> ReadAxis(const SessionFrames& frames, const CodeKind& code, int projector, int pose,
                             PatternAxis axis, int count, CodeReading reading) {
-  std::vector<const db::FrameRow*> rows;
   const int bits = GrayBits(count);
-  std::vector<Polarity> polarities = {Polarity::kPositive};
-  if (Captured(frames, code, projector, pose, axis, count, Polarity::kInverse))
-    polarities.push_back(Polarity::kInverse);
-  for (const Polarity polarity : polarities)
+  AxisFrames read;
+  read.positive.resize(static_cast<size_t>(bits));
+  read.inverse.resize(static_cast<size_t>(bits));
+  std::vector<const db::FrameRow*> rows;
+  std::vector<Image<uint16_t>*> places;
+  for (const Polarity polarity : {Polarity::kPositive, Polarity::kInverse})
     for (int bit = 0; bit < bits; ++bit) {
-      SLX_ASSIGN_OR_RETURN(rows.emplace_back(), frames.Require(projector, CapturePhase::kCorrespondence,
-                                                               code.Of(axis, bit, bits, polarity), pose));
+      const Pattern pattern = code.Of(axis, bit, bits, polarity);
+      const db::FrameRow* row = frames.Find(projector, CapturePhase::kCorrespondence, pattern, pose);
+      if (row == nullptr) continue;
+      rows.push_back(row);
+      places.push_back(&(polarity == Polarity::kPositive ? read.positive : read.inverse)[static_cast<size_t>(bit)]);
     }
+  if (rows.empty())
+    return frames.Require(projector, CapturePhase::kCorrespondence, code.Of(axis, 0, bits, Polarity::kPositive), pose)
+        .status();
   const SinusoidSet sinusoids =
       reading == CodeReading::kBitsAlone ? SinusoidSet{} : SinusoidsOf(frames, projector, pose, axis);
-  rows.insert(rows.end(), sinusoids.rows.begin(), sinusoids.rows.end());
-  SLX_ASSIGN_OR_RETURN(auto images, frames.ReadAll(rows));
-  AxisFrames read;
   read.period_px = sinusoids.period_px;
-  for (size_t i = 0; i < images.size(); ++i) {
-    const size_t kind = i / static_cast<size_t>(bits);
-    auto& list = kind == 0 ? read.positive : kind < polarities.size() ? read.inverse : read.shifts;
-    list.push_back(std::move(images[i]));
+  read.shifts.resize(sinusoids.rows.size());
+  for (size_t i = 0; i < read.shifts.size(); ++i) {
+    rows.push_back(sinusoids.rows[i]);
+    places.push_back(&read.shifts[i]);
   }
+  SLX_ASSIGN_OR_RETURN(auto images, frames.ReadAll(rows));
+  for (size_t i = 0; i < images.size(); ++i) *places[i] = std::move(images[i]);
   return read;
 }
 
@@ -145,12 +132,19 @@ AxisCode AxisCodeOf(const AxisFrames& frames, const CodeKind& kind, int count) {
   code.code = kind.code;
   code.waves_px = kind.waves_px;
   code.count = count;
-  for (size_t b = 0; b < frames.positive.size(); ++b)
-    code.bits.push_back({frames.positive[b], frames.inverse.empty() ? RawView{} : RawView{frames.inverse[b]}});
+  for (size_t b = 0; b < frames.positive.size(); ++b) code.bits.push_back({frames.positive[b], frames.inverse[b]});
   for (const auto& image : frames.shifts) code.shifts.push_back(image);
   code.period_px = frames.period_px;
   return code;
 }
+
+DecodedMap NothingDecoded(int width, int height) {
+  const Image<float> unknown(width, height, 1, std::nanf(""));
+  return {unknown, unknown, unknown, unknown,
+          Image<uint8_t>(width, height, 1, static_cast<uint8_t>(DecodeReason::kUnlit))};
+}
+
+}  // namespace
 
 Result<Image<float>> BlackOfPose(const SessionFrames& frames, int projector, int pose) {
   if (pose < 0) return frames.MeanBlack(projector);
@@ -160,8 +154,6 @@ Result<Image<float>> BlackOfPose(const SessionFrames& frames, int projector, int
   for (size_t i = 0; i < mean.size(); ++i) mean.pixels()[i] = black.pixels()[i];
   return mean;
 }
-
-}  // namespace
 
 CodeSize CodeSizeOf(const SessionFrames& frames) {
   if (frames.plan()) return {frames.plan()->projector_width, frames.plan()->projector_height};
@@ -187,35 +179,47 @@ CodedAxes CodedAxesOf(const SessionFrames& frames, int projector, int pose) {
   return axes;
 }
 
-std::string UnreadSinusoids(const SessionFrames& frames, int projector, int pose) {
-  if (frames.plan()) return {};
-  std::string text;
+std::string UnreadPatterns(const SessionFrames& frames, int projector, int pose) {
+  std::vector<std::string> parts;
+  const CodeSize size = CodeSizeOf(frames);
+  const auto code = CodeOf(frames);
   for (const PatternAxis axis : {PatternAxis::kColumns, PatternAxis::kRows}) {
+    if (!code.ok()) break;
+    const CodeFrames of =
+        CodeFramesOf(frames, *code, projector, pose, axis, axis == PatternAxis::kColumns ? size.columns : size.rows);
+    for (size_t i = 0; of.found > 0 && i < of.missing.size(); ++i)
+      parts.push_back("'" + of.missing[i].ToString() + "' is missing");
+  }
+  const std::vector<PatternAxis> axes =
+      frames.plan() ? frames.sinusoids() : std::vector{PatternAxis::kColumns, PatternAxis::kRows};
+  for (const PatternAxis axis : axes) {
     const std::vector<SinusoidSet> sets = SinusoidSets(frames, projector, pose, axis);
     for (size_t i = 0; i < sets.size(); ++i) {
-      if (i == 0 && sets[i].IsWhole()) continue;
+      if ((i == 0 && sets[i].IsWhole()) || sets[i].rows.empty()) continue;
       const std::string found = std::to_string(sets[i].rows.size()), wanted = std::to_string(sets[i].shifts);
-      text += (text.empty() ? "" : "; ") + std::string(axis == PatternAxis::kColumns ? "columns" : "rows") +
-              ", period " + std::to_string(sets[i].period_px) + " px: " +
-              (sets[i].IsWhole() ? "period " + std::to_string(sets[0].period_px) + " px is read"
-                                 : found + " of " + wanted + " shifts, all are needed");
+      parts.push_back(std::string(axis == PatternAxis::kColumns ? "columns" : "rows") + ", sinusoids of period " +
+                      std::to_string(sets[i].period_px) + " px: " +
+                      (sets[i].IsWhole() ? "period " + std::to_string(sets[0].period_px) + " px is read"
+                                         : found + " of " + wanted + " shifts, all are needed"));
     }
   }
-  return text.empty() ? text
-                      : "projector " + std::to_string(projector) +
-                            (pose >= 0 ? ", pose " + std::to_string(pose) : std::string()) +
-                            ": sinusoids that are not read: " + text;
+  if (parts.empty()) return {};
+  std::string text = "projector " + std::to_string(projector) +
+                     (pose >= 0 ? ", pose " + std::to_string(pose) : std::string()) + ": codes are read without: ";
+  for (size_t i = 0; i < parts.size(); ++i) text += (i == 0 ? "" : "; ") + parts[i];
+  return text;
 }
 
 Result<DecodeReport> DecodeProjector(const SessionFrames& frames, int projector, int pose, int code_width,
                                      int code_height, const SensorNoise& noise, CodeReading reading) {
   SLX_ASSIGN_OR_RETURN(const CodeKind code, CodeOf(frames));
-  SLX_ASSIGN_OR_RETURN(const auto white,
-                       frames.Read(projector, CapturePhase::kReference, {.kind = PatternKind::kWhite}, pose));
+  const db::FrameRow* white_row = frames.FindWhite(projector, pose);
+  if (white_row == nullptr)
+    return frames.Require(projector, CapturePhase::kReference, {.kind = PatternKind::kWhite}, pose).status();
+  SLX_ASSIGN_OR_RETURN(const auto white, frames.ReadLinear(*white_row));
   SLX_ASSIGN_OR_RETURN(const auto black, BlackOfPose(frames, projector, pose));
   const auto captured = [&](PatternAxis axis, int count) {
-    return Captured(frames, code, projector, pose, axis, count, Polarity::kPositive) ||
-           Captured(frames, code, projector, pose, axis, count, Polarity::kInverse);
+    return CodeFramesOf(frames, code, projector, pose, axis, count).found > 0;
   };
   AxisFrames columns, rows;
   const bool has_rows = captured(PatternAxis::kRows, code_height);
@@ -238,8 +242,29 @@ Result<DecodedFace> DecodeFace(const SessionFrames& frames, Logger& logger, Code
   const SensorNoise noise = SensorNoise::From(rig.camera);
   DecodedFace face;
   Progress progress(logger, "decode", static_cast<int64_t>(rig.projectors.size()));
-  for (int p = 0; p < static_cast<int>(rig.projectors.size()); ++p) {
+  const CodeSize size = CodeSizeOf(frames);
+  SLX_ASSIGN_OR_RETURN(const CodeKind code, CodeOf(frames));
+  // Of a projector without white, black or any code nothing can be said; the others' codes still give a surface.
+  const auto has_codes = [&](int p) {
+    return frames.FindWhite(p) != nullptr && frames.HasBlack(p) &&
+           (CodeFramesOf(frames, code, p, -1, PatternAxis::kColumns, size.columns).found > 0 ||
+            CodeFramesOf(frames, code, p, -1, PatternAxis::kRows, size.rows).found > 0);
+  };
+  const int projectors = static_cast<int>(rig.projectors.size());
+  bool any = false;
+  for (int p = 0; p < projectors; ++p) any = any || has_codes(p);
+  for (int p = 0; p < projectors; ++p) {
     const Pinhole& model = rig.projectors[p].model;
+    if (any && !has_codes(p)) {
+      logger.Warning("projector " + std::to_string(p) +
+                     ": its white, its black or all of its codes are missing (`stratalux-db show`); the surface is "
+                     "found without it. Capture the visitor again");
+      face.maps.push_back(NothingDecoded(rig.camera.model.width, rig.camera.model.height));
+      face.counts[static_cast<size_t>(DecodeReason::kUnlit)] += std::ssize(face.maps.back().reason.pixels());
+      progress.Advance();
+      continue;
+    }
+    if (const std::string note = UnreadPatterns(frames, p, -1); !note.empty()) logger.Warning(note);
     SLX_ASSIGN_OR_RETURN(auto report, DecodeProjector(frames, p, -1, model.width, model.height, noise, reading));
     for (int r = 0; r < kDecodeReasons; ++r) face.counts[r] += report.counts[r];
     face.maps.push_back(std::move(report.map));

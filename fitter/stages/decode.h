@@ -28,16 +28,20 @@ struct CodedAxes {
 // Of which axes the projector's codes were captured, with and without inverses.
 [[nodiscard]] CodedAxes CodedAxesOf(const SessionFrames& frames, int projector, int pose);
 
+// A numbered pose's own reference black, else the mean of all of the projector's.
+[[nodiscard]] Result<Image<float>> BlackOfPose(const SessionFrames& frames, int projector, int pose);
+
 // kBitsAlone leaves out the sinusoids that were captured: what the codes say by themselves.
 enum class CodeReading { kWithSinusoids, kBitsAlone };
 
-// What of an import's sinusoids DecodeProjector leaves unread, and why: a set that lacks shifts, and all but the finest
-// of several. Empty: nothing.
-[[nodiscard]] std::string UnreadSinusoids(const SessionFrames& frames, int projector, int pose);
+// What DecodeProjector does without, and why: frames of codes that are missing, sinusoids of a set that lacks shifts,
+// and all sets but the finest of several. Empty: nothing.
+[[nodiscard]] std::string UnreadPatterns(const SessionFrames& frames, int projector, int pose);
 
 // Decodes projector p of a session whose frames have `width` x `height` code columns and rows; of the sinusoids those
 // that the plan has, without a plan an axis' whole set of one period and all its shifts. An axis without any Gray frame
-// is left out; inverses may be absent all together, single frames may not.
+// is left out; of an axis that has one any others may be missing: a pair's other frame is decided against white and
+// black, a bit without both tells nothing. kNotFound: no white, no black or no code.
 [[nodiscard]] Result<DecodeReport> DecodeProjector(const SessionFrames& frames, int projector, int pose, int code_width,
                                                    int code_height, const SensorNoise& noise,
                                                    CodeReading reading = CodeReading::kWithSinusoids);
@@ -46,7 +50,8 @@ struct DecodedFace {
   std::vector<DecodedMap> maps;  // by projector
   std::array<int64_t, kDecodeReasons> counts{};
 };
-// Of all projectors of a calibrated session.
+// Of all projectors of a calibrated session. One without white, black or codes is warned of and decodes nowhere, unless
+// all are.
 [[nodiscard]] Result<DecodedFace> DecodeFace(const SessionFrames& frames, Logger& logger,
                                              CodeReading reading = CodeReading::kWithSinusoids);
 

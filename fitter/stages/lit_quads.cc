@@ -90,8 +90,10 @@ class Reach {
     return false;
   }
 
-  // Nothing is known of its light but by the codes' reasons.
-  [[nodiscard]] bool IsDark(int i, int j) const { return separation_ == nullptr && !HasWhite(i, j); }
+  // Nothing is known of its light but by the codes' reasons, and these say that there is none.
+  [[nodiscard]] bool IsDark(int i, int j) const {
+    return (separation_ == nullptr || !std::isfinite(separation_->white(i, j, 0))) && !HasWhite(i, j);
+  }
 
   // Shares of the quad's sites with codes of this surface, and of another.
   struct Codes {

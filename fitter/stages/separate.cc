@@ -1,31 +1,67 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fitter/stages/separate.h"
 
+#include <cmath>
+#include <string>
+#include <utility>
+
 #include "fitter/export/exr_file.h"
 #include "fitter/separation/separate.h"
 #include "fitter/stages/colours.h"
 #include "fitter/stages/stage_json.h"
 #include "shared/base/parallel_each.h"
+#include "shared/geometry/quad.h"
 
 namespace stratalux::fit {
 namespace {
 
-Result<Separation> SeparateProjector(const SessionFrames& frames, int projector, const RigCalibration& rig,
-                                     const SensorNoise& noise) {
+// Of an axis the sinusoids that are there, in shift order.
+std::vector<const db::FrameRow*> SinusoidsOf(const SessionFrames& frames, int projector, PatternAxis axis) {
   const PlanOptions& o = *frames.plan();
-  SLX_ASSIGN_OR_RETURN(const auto white,
-                       frames.Read(projector, CapturePhase::kReference, {.kind = PatternKind::kWhite}));
-  SLX_ASSIGN_OR_RETURN(const auto black, frames.MeanBlack(projector));
   std::vector<const db::FrameRow*> rows;
-  for (PatternAxis axis : frames.sinusoids())
-    for (int shift = 0; shift < o.separation_shifts; ++shift) {
-      SLX_ASSIGN_OR_RETURN(rows.emplace_back(), frames.Require(projector, CapturePhase::kSeparation,
-                                                               {.kind = PatternKind::kSinusoid,
-                                                                .axis = axis,
-                                                                .period = o.separation_period,
-                                                                .shift = shift,
-                                                                .shifts = o.separation_shifts}));
-    }
+  for (int shift = 0; shift < o.separation_shifts; ++shift) {
+    const db::FrameRow* row = frames.Find(projector, CapturePhase::kSeparation,
+                                          {.kind = PatternKind::kSinusoid,
+                                           .axis = axis,
+                                           .period = o.separation_period,
+                                           .shift = shift,
+                                           .shifts = o.separation_shifts});
+    if (row != nullptr) rows.push_back(row);
+  }
+  return rows;
+}
+
+SeparationMap NothingTold(const RigCalibration& rig) {
+  const int step = QuadStep(rig.camera.cfa);
+  const int width = rig.camera.model.width / step, height = rig.camera.model.height / step;
+  const Image<float> unknown(width, height, QuadChannels(rig.camera.cfa), std::nanf(""));
+  return {unknown, unknown, unknown, unknown,
+          Image<uint8_t>(width, height, 1, static_cast<uint8_t>(SeparationReason::kNotTold))};
+}
+
+Result<SeparationMap> SeparateProjector(const SessionFrames& frames, int projector, const RigCalibration& rig,
+                                        const SensorNoise& noise, Logger& logger) {
+  const std::string name = "projector " + std::to_string(projector);
+  const db::FrameRow* white_row = frames.FindWhite(projector);
+  if (white_row == nullptr || !frames.HasBlack(projector)) {
+    logger.Warning(name + ": its white or its black is missing (`stratalux-db show`); nothing is known of its light");
+    return NothingTold(rig);
+  }
+  SLX_ASSIGN_OR_RETURN(const auto white, frames.ReadLinear(*white_row));
+  SLX_ASSIGN_OR_RETURN(const auto black, frames.MeanBlack(projector));
+  // Of equal steps: an axis that lacks a shift tells nothing, the other one is separated by itself.
+  std::vector<const db::FrameRow*> rows;
+  for (PatternAxis axis : frames.sinusoids()) {
+    const auto found = SinusoidsOf(frames, projector, axis);
+    const int wanted = frames.plan()->separation_shifts;
+    if (std::ssize(found) == wanted)
+      rows.insert(rows.end(), found.begin(), found.end());
+    else
+      logger.Warning(name + ": direct and global light are separated without the sinusoids along " +
+                     (axis == PatternAxis::kColumns ? "columns" : "rows") + ", of which " +
+                     std::to_string(wanted - std::ssize(found)) + " of " + std::to_string(wanted) +
+                     " are missing (`stratalux-db show`)");
+  }
   SLX_ASSIGN_OR_RETURN(const auto images, frames.ReadAll(rows));
   SeparationFrames input;
   input.white = white;
@@ -36,8 +72,9 @@ Result<Separation> SeparateProjector(const SessionFrames& frames, int projector,
   SeparationOptions options;
   options.projector_black = rig.projectors[projector].black_level;
   options.sinusoid_amplitude = rig.projectors[projector].SinusoidAmplitude();
-  if (rows.empty()) return WhiteAlone(input, rig.camera.cfa, noise, options);
-  return SeparateSinusoids(input, rig.camera.cfa, noise, options);
+  SLX_ASSIGN_OR_RETURN(auto separated, rows.empty() ? WhiteAlone(input, rig.camera.cfa, noise, options)
+                                                    : SeparateSinusoids(input, rig.camera.cfa, noise, options));
+  return std::move(separated.map);
 }
 
 std::vector<std::string> DetailChannels(int channels) {
@@ -49,13 +86,12 @@ std::vector<std::string> DetailChannels(int channels) {
 
 }  // namespace
 
-Result<std::vector<SeparationMap>> SeparateFace(const SessionFrames& frames) {
+Result<std::vector<SeparationMap>> SeparateFace(const SessionFrames& frames, Logger& logger) {
   const RigCalibration& rig = *frames.calibration();
   const SensorNoise noise = SensorNoise::From(rig.camera);
   std::vector<SeparationMap> maps;
   for (int p = 0; p < static_cast<int>(rig.projectors.size()); ++p) {
-    SLX_ASSIGN_OR_RETURN(auto separation, SeparateProjector(frames, p, rig, noise));
-    maps.push_back(std::move(separation.map));
+    SLX_ASSIGN_OR_RETURN(maps.emplace_back(), SeparateProjector(frames, p, rig, noise, logger));
   }
   return maps;
 }

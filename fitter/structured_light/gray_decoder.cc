@@ -30,7 +30,7 @@ Status CheckAxis(const char* name, const AxisCode& code, const RawView& white) {
     return Status::Usage("decode: " + axis + ": " + std::to_string(bits) + " bits cannot number " +
                          std::to_string(code.count) + " " + axis + "; give all bits of the code");
   for (const CodedBit& bit : code.bits) {
-    SLX_RETURN_IF_ERROR(CheckSize("a Gray frame", bit.positive, white).WithContext(axis));
+    if (!bit.positive.empty()) SLX_RETURN_IF_ERROR(CheckSize("a Gray frame", bit.positive, white).WithContext(axis));
     if (!bit.inverse.empty())
       SLX_RETURN_IF_ERROR(CheckSize("an inverse Gray frame", bit.inverse, white).WithContext(axis));
   }

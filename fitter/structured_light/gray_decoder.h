@@ -16,9 +16,12 @@ namespace stratalux::fit {
 
 using RawView = ImageView<const uint16_t>;
 
+// Of two frames one may be empty: the other is decided against white and black. Where both are, the bit tells nothing.
 struct CodedBit {
-  RawView positive;
-  RawView inverse{};  // empty: decided against white and black
+  RawView positive{};
+  RawView inverse{};
+  [[nodiscard]] bool IsWhole() const { return !positive.empty() && !inverse.empty(); }
+  [[nodiscard]] bool IsLost() const { return positive.empty() && inverse.empty(); }
 };
 
 // One axis of one projector; without bits and shifts it was not captured.

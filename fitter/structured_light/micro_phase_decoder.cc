@@ -19,7 +19,7 @@ MicroPhaseDecoder::MicroPhaseDecoder(const AxisCode& code, const SensorNoise& no
   std::vector<double> squares(code.bits.size());
   for (size_t b = 0; b < code.bits.size(); ++b) {
     const auto& [positive, inverse] = code.bits[b];
-    if (inverse.empty()) return;
+    if (!code.bits[b].IsWhole()) return;
     for (size_t site = 0; site < positive.size(); site += kEvery) {
       const double shown = positive.data()[site], other = inverse.data()[site];
       if (std::max(shown, other) >= noise.saturation_dn) continue;
@@ -36,10 +36,10 @@ Position MicroPhaseDecoder::Decode(size_t site, const SiteLight& light) const {
   for (size_t b = 0; b < planes; ++b) {
     const PairLight pair = ReadPair(code_.bits[b], site, light, noise_, options_.pair_sigma_fraction);
     const bool saturated = std::max(pair.positive_dn, pair.inverse_dn) >= noise_.saturation_dn ||
-                           (light.white_saturated && code_.bits[b].inverse.empty());
+                           (light.white_saturated && !code_.bits[b].IsWhole());
     lost |= saturated;
     difference[b] = pair.positive_dn - pair.inverse_dn;
-    weight[b] = saturated ? 0.0 : 1.0 / (pair.sigma_dn * pair.sigma_dn);
+    weight[b] = saturated || code_.bits[b].IsLost() ? 0.0 : 1.0 / (pair.sigma_dn * pair.sigma_dn);
   }
   std::optional<MicroPhaseSearch::Within> within;
   if (!code_.shifts.empty() && code_.period_px == code_.waves_px) {

@@ -18,7 +18,7 @@ struct SiteLight {
 
 // A plane of the code and its inverse.
 struct PairLight {
-  double positive_dn = 0.0, inverse_dn = 0.0;  // raw; the inverse made up where none was captured
+  double positive_dn = 0.0, inverse_dn = 0.0;  // raw; one is made up where it was not captured, alike where neither was
   double sigma_dn = 0.0;                       // of their difference
   bool lost = false;                           // to saturation
 };

@@ -248,6 +248,71 @@ TEST_F(HeldOutTakes, ALostSinusoidLeavesTheBitsOfItsAxisAlone) {
   EXPECT_GT(known, 10000);
 }
 
+TEST_F(HeldOutTakes, ALostTakeLeavesTheOther) {
+  const SessionFrames frames = Session("one_take", QuarterPlan(), [](const Frame& frame) {
+    return frame.record.projector != 1 || frame.record.phase != CapturePhase::kSweep ||
+           frame.record.pattern != HeldOutPattern("stripe", QuarterPlan());
+  });
+  EXPECT_EQ(HeldOutTakesOf(frames, 1, "stripe").size(), 1U);
+  EXPECT_EQ(HeldOutTakesOf(frames, 0, "stripe").size(), 2U);
+}
+
+// Shape, light and lit skin of a visit of which one projector's frames are missing by the kind: what can be done
+// without them is done, and nothing is made up of the rest.
+TEST_F(HeldOutTakes, ShapeAndLightDoWithoutFramesThatAreMissing) {
+  const auto decoded_of = [&](const SessionFrames& frames) { return *DecodeFace(frames, logger_); };
+  const auto valid = [](const DecodedMap& map) {
+    return std::ranges::count(map.reason.pixels(), static_cast<uint8_t>(DecodeReason::kValid));
+  };
+  const SessionFrames whole = AsCaptured("nothing_missing");
+  const DecodedFace all = decoded_of(whole);
+  const auto all_light = SeparateFace(whole, logger_);
+  ASSERT_TRUE(all_light.ok());
+
+  const SessionFrames dark =
+      Session("no_projector", QuarterPlan(), [](const Frame& frame) { return frame.record.projector != 2; });
+  const DecodedFace without = decoded_of(dark);
+  EXPECT_EQ(valid(without.maps[2]), 0);
+  EXPECT_EQ(valid(without.maps[1]), valid(all.maps[1]));
+  const auto light = SeparateFace(dark, logger_);
+  ASSERT_TRUE(light.ok()) << light.status().message();
+  EXPECT_EQ(std::ranges::count((*light)[2].reason.pixels(), static_cast<uint8_t>(SeparationReason::kNotTold)),
+            std::ssize((*light)[2].reason.pixels()));
+  const auto face = ReconstructShape(without.maps, *light, *dark.calibration(), *dark.record());
+  const auto full_face = ReconstructShape(all.maps, *all_light, *whole.calibration(), *whole.record());
+  ASSERT_TRUE(face.ok() && full_face.ok());
+  EXPECT_EQ(std::ranges::count(face->lit[2].pixels(), 1), 0) << "lit by a projector of which nothing is known";
+  EXPECT_GT(std::ranges::count(full_face->lit[2].pixels(), 1), 1000);
+  std::vector<SweepFigure> figures;
+  const auto srds = ExtractSrds(dark, *face, {}, logger_, figures);
+  ASSERT_TRUE(srds.ok()) << srds.status().message();
+  for (int p = 0; p < 4; ++p) EXPECT_EQ(figures[p].profiles_by_reason.contains("valid"), p != 2) << p;
+  EXPECT_GT(static_cast<double>(std::ranges::count(face->surface.mask.pixels(), 1)),
+            0.9 * static_cast<double>(std::ranges::count(full_face->surface.mask.pixels(), 1)));
+
+  // The reference white: any other one shows the same. One sinusoid: the other axis tells by itself.
+  const SessionFrames fewer = Session("no_white", QuarterPlan(), [](const Frame& frame) {
+    const FrameRecord& r = frame.record;
+    const bool white = r.pattern.kind == PatternKind::kWhite && r.phase == CapturePhase::kReference,
+               sinusoid = r.pattern.kind == PatternKind::kSinusoid && r.pattern.axis == PatternAxis::kRows &&
+                          r.pattern.shift == 1;
+    return r.projector != 2 || (!white && !sinusoid);
+  });
+  const auto fewer_light = SeparateFace(fewer, logger_);
+  ASSERT_TRUE(fewer_light.ok()) << fewer_light.status().message();
+  double ratio = 0.0;
+  int quads = 0;
+  for (size_t i = 0; i < (*fewer_light)[2].direct.size(); ++i) {
+    const double one = (*fewer_light)[2].direct.pixels()[i], both = (*all_light)[2].direct.pixels()[i];
+    if (!std::isfinite(one) || !(both > 30.0)) continue;
+    ratio += one / both;
+    ++quads;
+  }
+  ASSERT_GT(quads, 3000);
+  EXPECT_NEAR(ratio / quads, 1.0, 0.1);
+  EXPECT_GT(static_cast<double>(valid(decoded_of(fewer).maps[2])), 0.95 * static_cast<double>(valid(all.maps[2])));
+}
+
 TEST_F(HeldOutTakes, ALostTakeIsToldByName) {
   const SessionFrames frames = Session("lost", QuarterPlan(), [](Frame& frame) {
     return frame.record.phase != CapturePhase::kRepeat || frame.record.projector != 1 ||
@@ -273,7 +338,7 @@ Training TrainingOf(const SessionFrames& frames, Logger& logger) {
   Training training;
   const auto decoded = DecodeFace(frames, logger);
   EXPECT_TRUE(decoded.ok()) << decoded.status().message();
-  auto separation = SeparateFace(frames);
+  auto separation = SeparateFace(frames, logger);
   EXPECT_TRUE(separation.ok()) << separation.status().message();
   training.separation = *std::move(separation);
   auto face = ReconstructShape(decoded->maps, training.separation, *frames.calibration(), *frames.record());

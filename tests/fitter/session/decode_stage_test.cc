@@ -159,12 +159,44 @@ TEST_F(DecodeStage, NeedsNoRows) {
   ExpectEveryPixelAtItsPlace(report->map, Axes::kColumns);
 }
 
-TEST_F(DecodeStage, NamesTheOneFrameThatIsMissing) {
-  const auto report = DecodeImported([](const Pattern& pattern) {
-    return pattern.axis != PatternAxis::kRows || pattern.bit != 4 || !pattern.inverse;
-  });
-  ASSERT_FALSE(report.ok());
-  EXPECT_THAT(report.status().message(), HasSubstr("gray rows bit=4/6 inverse"));
+// Of a pair one frame is enough; which one is missing is said.
+TEST_F(DecodeStage, DoesWithoutEitherFrameOfAPair) {
+  for (const bool inverse : {false, true}) {
+    const auto frames = Import([&](const Pattern& pattern) {
+      return pattern.axis != PatternAxis::kRows || pattern.bit != 4 || pattern.inverse != inverse;
+    });
+    ASSERT_TRUE(frames.ok()) << frames.status().message();
+    const auto report = DecodeProjector(*frames, 0, -1, kWidth, kHeight, NoiseOf(*frames));
+    ASSERT_TRUE(report.ok()) << report.status().message();
+    ExpectEveryPixelAtItsPlace(report->map, Axes::kBoth);
+    EXPECT_THAT(UnreadPatterns(*frames, 0, -1),
+                HasSubstr(inverse ? "'gray rows bit=4/6 inverse' is missing" : "'gray rows bit=4/6' is missing"));
+  }
+}
+
+// Without both frames the bit tells nothing: of a coarse one only the sites on its own edges have a place, and none a
+// wrong one.
+TEST_F(DecodeStage, SaysNothingWhereABitIsLostThatMatters) {
+  const auto without = [&](int bit) {
+    return DecodeImported(
+        [bit](const Pattern& pattern) { return pattern.axis != PatternAxis::kColumns || pattern.bit != bit; });
+  };
+  const auto placed = [&](const DecodedMap& map) {
+    int sites = 0;
+    for (int y = 0; y < kHeight; ++y)
+      for (int x = 0; x < kWidth; ++x) {
+        if (map.reason(x, y) != 0) continue;
+        ++sites;
+        const float off = std::abs(map.column(x, y) - static_cast<float>(x));
+        EXPECT_LT(off, 4.0F * map.column_sigma(x, y)) << x << ", " << y;
+        EXPECT_LT(off, 2.5F) << x << ", " << y;
+      }
+    return sites;
+  };
+  const auto coarse = without(1), finest = without(kBits - 1);
+  ASSERT_TRUE(coarse.ok() && finest.ok());
+  EXPECT_LT(placed(coarse->map), kWidth * kHeight / 8);
+  EXPECT_EQ(placed(finest->map), kWidth * kHeight);
 }
 
 TEST_F(DecodeStage, NamesACodeThatIsMissingAltogether) {
@@ -174,10 +206,18 @@ TEST_F(DecodeStage, NamesACodeThatIsMissingAltogether) {
 }
 
 // A code without its finest planes is not read as one of fewer columns.
-TEST_F(DecodeStage, NamesTheFinestPlaneWhereThoseAreMissing) {
-  const auto report = DecodeImported([](const Pattern& pattern) { return pattern.bit < kBits - 2; });
-  ASSERT_FALSE(report.ok());
-  EXPECT_THAT(report.status().message(), HasSubstr("gray columns bit=4/6"));
+TEST_F(DecodeStage, PlacesASiteAsWellAsItsPlanesDoWhereTheFinestAreMissing) {
+  const auto frames = Import([](const Pattern& pattern) { return pattern.bit < kBits - 2; });
+  ASSERT_TRUE(frames.ok()) << frames.status().message();
+  EXPECT_THAT(UnreadPatterns(*frames, 0, -1), HasSubstr("'gray columns bit=4/6' is missing"));
+  const auto report = DecodeProjector(*frames, 0, -1, kWidth, kHeight, NoiseOf(*frames));
+  ASSERT_TRUE(report.ok()) << report.status().message();
+  for (int y = 0; y < kHeight; ++y)
+    for (int x = 0; x < kWidth; ++x) {
+      ASSERT_EQ(report->map.reason(x, y), 0) << x << ", " << y;
+      ASSERT_LT(std::abs(report->map.column(x, y) - static_cast<float>(x)), 4.0 * report->map.column_sigma(x, y));
+      ASSERT_LT(std::abs(report->map.column(x, y) - static_cast<float>(x)), 2.5);
+    }
 }
 
 TEST_F(DecodeStage, TellsNoiseAndSaturationOfSixteenBits) {
@@ -229,7 +269,7 @@ TEST_F(DecodeStage, RefinesAnImportsCodesByItsSinusoids) {
   sinusoids_ = Sinusoids(8, 4);
   const auto frames = Import(All);
   ASSERT_TRUE(frames.ok()) << frames.status().message();
-  EXPECT_EQ(UnreadSinusoids(*frames, 0, -1), "");
+  EXPECT_EQ(UnreadPatterns(*frames, 0, -1), "");
   const auto refined = DecodeProjector(*frames, 0, -1, kWidth, kHeight, NoiseOf(*frames)),
              alone = DecodeProjector(*frames, 0, -1, kWidth, kHeight, NoiseOf(*frames), CodeReading::kBitsAlone);
   ASSERT_TRUE(refined.ok() && alone.ok());
@@ -248,9 +288,9 @@ TEST_F(DecodeStage, NamesAnImportsSinusoidsThatLackAShift) {
   sinusoids_.erase(sinusoids_.begin() + 2);
   const auto frames = Import(All);
   ASSERT_TRUE(frames.ok()) << frames.status().message();
-  const std::string note = UnreadSinusoids(*frames, 0, -1);
-  EXPECT_THAT(note, HasSubstr("columns, period 8 px: 3 of 4 shifts"));
-  EXPECT_THAT(note, HasSubstr("rows, period 8 px: 3 of 4 shifts"));
+  const std::string note = UnreadPatterns(*frames, 0, -1);
+  EXPECT_THAT(note, HasSubstr("columns, sinusoids of period 8 px: 3 of 4 shifts"));
+  EXPECT_THAT(note, HasSubstr("rows, sinusoids of period 8 px: 3 of 4 shifts"));
   const auto read = DecodeProjector(*frames, 0, -1, kWidth, kHeight, NoiseOf(*frames)),
              alone = DecodeProjector(*frames, 0, -1, kWidth, kHeight, NoiseOf(*frames), CodeReading::kBitsAlone);
   ASSERT_TRUE(read.ok() && alone.ok());
@@ -265,10 +305,10 @@ TEST_F(DecodeStage, ReadsTheFinestOfSeveralWholeSets) {
   sinusoids_.erase(sinusoids_.begin());  // of the finest
   const auto frames = Import(All);
   ASSERT_TRUE(frames.ok()) << frames.status().message();
-  const std::string note = UnreadSinusoids(*frames, 0, -1);
-  EXPECT_THAT(note, HasSubstr("columns, period 6 px: 3 of 4 shifts"));
-  EXPECT_THAT(note, HasSubstr("columns, period 16 px: period 8 px is read"));
-  EXPECT_THAT(note, Not(HasSubstr("period 8 px:")));
+  const std::string note = UnreadPatterns(*frames, 0, -1);
+  EXPECT_THAT(note, HasSubstr("columns, sinusoids of period 6 px: 3 of 4 shifts"));
+  EXPECT_THAT(note, HasSubstr("columns, sinusoids of period 16 px: period 8 px is read"));
+  EXPECT_THAT(note, Not(HasSubstr("sinusoids of period 8 px:")));
   const auto read = DecodeProjector(*frames, 0, -1, kWidth, kHeight, NoiseOf(*frames));
   ASSERT_TRUE(read.ok()) << read.status().message();
   for (int x = 0; x < kWidth; ++x) ASSERT_NEAR(read->map.column(x, 20), x, 0.05);
