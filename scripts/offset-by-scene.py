@@ -45,7 +45,7 @@ def row(args, scene, heldout):
 
 
 def told(offset):
-    return f"{offset['code_depth_mm']:.3f} +- {offset['sigma_mm']:.3f}" if offset else "none"
+    return f"{offset['code_depth_mm']:.3f} +- {offset['sigma_mm']:.3f}" if offset and offset["found"] else "none"
 
 
 def bias(offset, otherwise):

@@ -53,6 +53,32 @@ Result<std::vector<int>> PosesOf(const CloudFlags& f, const SessionFrames& frame
 
 std::string FileOf(int pose) { return pose >= 0 ? "cloud_pose" + std::to_string(pose) + ".ply" : "cloud.ply"; }
 
+nlohmann::ordered_json JsonOf(const DriftReport& drift) {
+  auto projectors = nlohmann::ordered_json::array();
+  for (const ProjectorDrift& d : drift.projectors)
+    projectors.push_back({{"projector", d.projector},
+                          {"points", d.points},
+                          {"judged", d.judged()},
+                          {"shift_px", d.shift_px},
+                          {"turned_deg", d.turned_deg},
+                          {"moved", d.moved}});
+  return {{"warning", drift.warning}, {"projectors", projectors}};
+}
+
+std::string MotionText(const CodedCloud& made) {
+  return made.motion_unasked.empty() ? Describe(made.motion)
+                                     : "motion of the head: not looked for (" + made.motion_unasked + ")";
+}
+
+nlohmann::ordered_json MotionJson(const CodedCloud& made) {
+  const HeadMotion& head = made.motion.head;
+  return {{"known", !head.poses.empty()},
+          {"moved", head.moved},
+          {"largest_mm", head.largest_mm},
+          {"sigma_mm", head.sigma_mm},
+          {"text", MotionText(made)}};
+}
+
 nlohmann::ordered_json JsonOf(int pose, const CodedCloud& made) {
   const TriangulationCounts& c = made.counts;
   return {{"pose", pose},
@@ -65,7 +91,9 @@ nlohmann::ordered_json JsonOf(int pose, const CodedCloud& made) {
             {"contradicting", c.inconsistent},
             {"uncertain", c.uncertain}}},
           {"quads_left_out",
-           {{"lone", c.lone}, {"mixed", c.mixed}, {"islands", c.islands}, {"unsmoothed", made.unsmoothed}}}};
+           {{"lone", c.lone}, {"mixed", c.mixed}, {"islands", c.islands}, {"unsmoothed", made.unsmoothed}}},
+          {"motion", MotionJson(made)},
+          {"drift", JsonOf(made.drift)}};
 }
 
 std::string TextOf(const CodedCloud& made) {
@@ -88,7 +116,7 @@ Status Cloud(const CloudFlags& f, Logger& logger) {
   for (const int pose : poses) {
     SLX_ASSIGN_OR_RETURN(auto made, CloudFromCodes(frames, pose, record));
     for (const int projector : made.projectors)
-      if (const std::string note = UnreadSinusoids(frames, projector, pose); !note.empty()) logger.Warning(note);
+      if (const std::string note = UnreadPatterns(frames, projector, pose); !note.empty()) logger.Warning(note);
     clouds.push_back(std::move(made));
   }
   auto results = nlohmann::ordered_json::array();
@@ -102,6 +130,8 @@ Status Cloud(const CloudFlags& f, Logger& logger) {
         return WritePly(beside, made.cloud, {.session = session});
       }));
       logger.Info(FileOf(pose) + ": " + TextOf(made));
+      logger.Info(FileOf(pose) + ": " + MotionText(made));
+      if (!made.drift.warning.empty()) logger.Warning(FileOf(pose) + ": " + made.drift.warning);
       results.push_back(JsonOf(pose, made));
       text += file.string() + "\n";
     }

@@ -93,7 +93,8 @@ Figures FiguresOf(const std::string& metrics_json) {
     if (const auto divergence = Number(json["fit"], "divergence")) figures["divergence"] = *divergence;
   if (json.is_object() && json.contains("drift"))
     for (const SortedJson& one : Objects(json["drift"], "projectors"))
-      if (const auto shift = Number(one, "shift_px")) {
+      // 0: not judged (ProjectorDrift::judged), which is no small drift.
+      if (const auto shift = Number(one, "shift_px"); shift && *shift > 0.0) {
         double& largest = figures["drift, px"];
         largest = std::max(largest, *shift);
       }

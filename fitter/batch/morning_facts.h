@@ -19,7 +19,7 @@ namespace stratalux::fit {
 // By name; what a fit does not have is not there.
 using Figures = std::map<std::string, double>;
 // Of metrics.json: "error of stripes, %" (held out, without noise), "coverage, %" (judged of lit skin), "divergence",
-// "drift, px" (largest shift of a projector against its calibration).
+// "drift, px" (largest shift of a projector against its calibration; none where none was judged).
 [[nodiscard]] Figures FiguresOf(const std::string& metrics_json);
 // Processor seconds of each stage, those of one name added.
 [[nodiscard]] Figures StageSecondsOf(const std::string& metrics_json);

@@ -243,8 +243,9 @@ std::string Metrics::ToJson() const {
   for (const OffsetFigure& o : offsets) {
     json["offsets"].push_back({{"heldout", o.heldout ? Json(*o.heldout) : Json()},
                                {"model", o.model},
-                               {"code_depth_mm", o.offset.code_depth_mm},
-                               {"sigma_mm", o.offset.sigma_mm},
+                               {"found", o.offset.IsFound()},
+                               {"code_depth_mm", o.offset.IsFound() ? Json(o.offset.code_depth_mm) : Json()},
+                               {"sigma_mm", o.offset.IsFound() ? Json(o.offset.sigma_mm) : Json()},
                                {"pixels", o.offset.pixels}});
     if (o.truth) json["offsets"].back()["truth"] = JsonOf(*o.truth);
   }

@@ -24,6 +24,7 @@ struct SurfaceOffset {
   double sigma_mm = 0.0;       // its standard error, from how far parts of the face disagree
   int64_t pixels = 0;          // that told; 0: too few are lit by two projectors, and the depth is 0
   bool at_bound = false;       // no depth is best of those tried, or about the best one: it is 0
+  [[nodiscard]] bool IsFound() const { return pixels > 0 && !at_bound; }
 };
 
 // `lights`: the training lights of a map `width` pixels wide of `channels` profiles each, `mm_per_pixel` apart.

@@ -14,26 +14,50 @@
 namespace stratalux::fit {
 namespace {
 
+struct Axes {
+  bool columns = false, rows = false;
+  [[nodiscard]] bool both() const { return columns && rows; }
+};
+
+// Where one axis alone was captured, the other's entries are 0, and the turn is that about the axis which moves it.
 struct Point {
   Eigen::Vector2d residual;                // decoded less predicted, px
   Eigen::Matrix<double, 2, 3> by_turning;  // d predicted / d turn (rad), about the projector's own axes
-  double sigma_px = 0.0;                   // of the codes, both axes together
+  double sigma_px = 0.0;                   // of the codes, all captured axes together
 };
 
+bool IsValid(const DecodedMap& map, int x, int y) {
+  return map.reason(x, y) == static_cast<uint8_t>(DecodeReason::kValid);
+}
+
+Axes AxesOf(const DecodedMap& map) {
+  Axes axes;
+  for (int y = 0; y < map.reason.height(); ++y)
+    for (int x = 0; x < map.reason.width(); ++x) {
+      if (!IsValid(map, x, y)) continue;
+      axes.columns = axes.columns || std::isfinite(map.column(x, y));
+      axes.rows = axes.rows || std::isfinite(map.row(x, y));
+      if (axes.both()) return axes;
+    }
+  return axes;
+}
+
 // Mean of the decoded coordinates of a quad; false unless all of its sites are decoded.
-bool DecodedQuad(const DecodedMap& map, int step, int i, int j, Eigen::Vector2d& at, double& sigma) {
+bool DecodedQuad(const DecodedMap& map, const Axes& axes, int step, int i, int j, Eigen::Vector2d& at, double& sigma) {
   at.setZero();
   double variance = 0.0;
   for (int y = step * j; y < step * (j + 1); ++y)
     for (int x = step * i; x < step * (i + 1); ++x) {
-      if (map.reason(x, y) != static_cast<uint8_t>(DecodeReason::kValid)) return false;
-      at += Eigen::Vector2d(map.column(x, y), map.row(x, y));
-      variance += map.column_sigma(x, y) * map.column_sigma(x, y) + map.row_sigma(x, y) * map.row_sigma(x, y);
+      if (!IsValid(map, x, y)) return false;
+      if (axes.columns) at.x() += map.column(x, y);
+      if (axes.rows) at.y() += map.row(x, y);
+      if (axes.columns) variance += map.column_sigma(x, y) * map.column_sigma(x, y);
+      if (axes.rows) variance += map.row_sigma(x, y) * map.row_sigma(x, y);
     }
   const double sites = step * step;
   at /= sites;
   sigma = std::sqrt(variance) / sites;
-  return at.allFinite();  // not where one axis alone was captured
+  return (axes.columns || axes.rows) && at.allFinite();
 }
 
 std::optional<Point> PointAt(const ProjectorCalibration& projector, const Eigen::Vector3d& x_in_camera,
@@ -50,6 +74,17 @@ std::optional<Point> PointAt(const ProjectorCalibration& projector, const Eigen:
     point.by_turning.col(axis) = (*turned - *predicted) / kTurn;
   }
   return point;
+}
+
+// Turns about the other axes hardly move the captured coordinate, and noise would make much of them.
+void KeepCaptured(const Axes& axes, Point& point) {
+  if (axes.both()) return;
+  const Eigen::Index kept = axes.columns ? 0 : 1, turn = 1 - kept;
+  const double residual = point.residual[kept], slope = point.by_turning(kept, turn);
+  point.residual.setZero();
+  point.by_turning.setZero();
+  point.residual[kept] = residual;
+  point.by_turning(kept, turn) = slope;
 }
 
 // Where the camera ray and the projector's ray through the decoded pixel come closest, in the camera's frame: linear
@@ -81,42 +116,64 @@ void KeepAcross(const ProjectorCalibration& projector, const Eigen::Vector3d& x_
 
 enum class Against { kSurface, kOwnDepth };
 
-// Quads of the projector's light; `decoded` counts those that could be read, on the surface or not.
-std::vector<Point> PointsOf(const DecodedMap& map, const SurfaceMap& surface, const RigCalibration& rig, size_t p,
-                            Against against, int stride, int64_t& decoded) {
-  const int step = QuadStep(rig.camera.cfa);
+// What all projectors say, and what is asked of one of them.
+struct Scene {
+  std::span<const DecodedMap> decoded;
+  std::vector<Axes> axes;  // by projector
+  const SurfaceMap& surface;
+  const RigCalibration& rig;
+  int step = 1;  // sites of a quad, along one side
+
+  [[nodiscard]] bool Read(size_t p, int i, int j, Eigen::Vector2d& at, double& sigma) const {
+    return DecodedQuad(decoded[p], axes[p], step, i, j, at, sigma);
+  }
+  [[nodiscard]] bool OthersReach(size_t p, int i, int j) const {
+    Eigen::Vector2d at;
+    double sigma = 0.0;
+    for (size_t other = 0; other < decoded.size(); ++other)
+      if (other != p && Read(other, i, j, at, sigma)) return true;
+    return false;
+  }
+};
+
+// Quads of the projector's light; `told` counts those whose codes say anything, on the surface or not.
+std::vector<Point> PointsOf(const Scene& scene, size_t p, Against against, int stride, int64_t& told) {
+  const ProjectorCalibration& projector = scene.rig.projectors[p];
+  const CameraCalibration& camera = scene.rig.camera;
   std::vector<Point> points;
-  decoded = 0;
-  for (int j = 0; j < surface.height(); j += stride)
-    for (int i = 0; i < surface.width(); i += stride) {
+  told = 0;
+  for (int j = 0; j < scene.surface.height(); j += stride)
+    for (int i = 0; i < scene.surface.width(); i += stride) {
       Eigen::Vector2d read;
       double sigma = 0.0;
-      if (!DecodedQuad(map, step, i, j, read, sigma)) continue;
-      ++decoded;
+      if (!scene.Read(p, i, j, read, sigma)) continue;
+      if (!scene.axes[p].both() && !scene.OthersReach(p, i, j)) continue;
+      ++told;
       std::optional<Eigen::Vector3d> at;
       if (against == Against::kOwnDepth)
-        at = AgreedPoint(rig.projectors[p], rig.camera.model.Unproject(QuadCentre(rig.camera.cfa, i, j)), read);
-      else if (surface.mask(i, j) != 0)
-        at = surface.Point(i, j);
+        at = AgreedPoint(projector, camera.model.Unproject(QuadCentre(camera.cfa, i, j)), read);
+      else if (scene.surface.mask(i, j) != 0)
+        at = scene.surface.Point(i, j);
       if (!at) continue;
-      auto point = PointAt(rig.projectors[p], *at, read, sigma);
+      auto point = PointAt(projector, *at, read, sigma);
       if (!point) continue;
-      if (against == Against::kOwnDepth) KeepAcross(rig.projectors[p], *at, *point);
+      KeepCaptured(scene.axes[p], *point);
+      if (against == Against::kOwnDepth) KeepAcross(projector, *at, *point);
       points.push_back(*point);
     }
   return points;
 }
 
 // Against the surface; where that holds but a small part of what the projector's codes reach (a rig so far off that
-// nothing fits together), against the epipolar lines alone.
-std::vector<Point> PointsOf(const DecodedMap& map, const SurfaceMap& surface, const RigCalibration& rig, size_t p,
-                            const DriftOptions& options) {
-  const double quads = double(surface.width()) * surface.height();
+// nothing fits together), against the epipolar lines alone. One axis says nothing of these.
+std::vector<Point> PointsOf(const Scene& scene, size_t p, const DriftOptions& options) {
+  const double quads = double(scene.surface.width()) * scene.surface.height();
   const int stride = std::max(1, static_cast<int>(std::sqrt(quads / options.max_points)));
-  int64_t decoded = 0;
-  std::vector<Point> points = PointsOf(map, surface, rig, p, Against::kSurface, stride, decoded);
-  if (static_cast<double>(points.size()) >= options.least_on_surface * static_cast<double>(decoded)) return points;
-  return PointsOf(map, surface, rig, p, Against::kOwnDepth, stride, decoded);
+  int64_t told = 0;
+  std::vector<Point> points = PointsOf(scene, p, Against::kSurface, stride, told);
+  if (static_cast<double>(points.size()) >= options.least_on_surface * static_cast<double>(told)) return points;
+  if (!scene.axes[p].both()) return {};
+  return PointsOf(scene, p, Against::kOwnDepth, stride, told);
 }
 
 // Distances left when the projector is turned by `turn`.
@@ -154,7 +211,7 @@ Eigen::Vector3d FitTurn(const std::vector<Point>& points) {
   return turn;
 }
 
-ProjectorDrift DriftOf(int projector, const std::vector<Point>& points, const DriftOptions& options) {
+ProjectorDrift DriftOf(int projector, const Axes& axes, const std::vector<Point>& points, const DriftOptions& options) {
   ProjectorDrift drift;
   drift.projector = projector;
   drift.points = static_cast<int64_t>(points.size());
@@ -170,19 +227,20 @@ ProjectorDrift DriftOf(int projector, const std::vector<Point>& points, const Dr
   drift.expected_px = Median(sigmas);
   const Eigen::Vector3d turn = FitTurn(points);
   drift.turned_deg = DegFromRad(turn.norm());
-  // Of an isotropic normal distribution half lies within 1.1774 standard deviations of an axis.
-  drift.spread_px = Median(Distances(points, turn)) / 1.1774 * std::sqrt(2.0);
+  // Of a normal distribution half lies within 0.6745 standard deviations; of an isotropic one of two axes within 1.1774
+  // of one axis'.
+  drift.spread_px = Median(Distances(points, turn)) * (axes.both() ? std::sqrt(2.0) / 1.1774 : 1.0 / 0.6745);
   double squares = 0.0;
   for (const Point& point : points) squares += (point.by_turning * turn).squaredNorm();
   drift.shift_px = std::sqrt(squares / static_cast<double>(points.size()));
   return drift;
 }
 
-std::string WarningOf(const std::vector<ProjectorDrift>& projectors) {
+std::string DueOf(const std::vector<ProjectorDrift>& projectors) {
   std::string who;
   size_t moved = 0, judged = 0;
   for (const ProjectorDrift& drift : projectors) {
-    judged += drift.shift_px > 0.0 ? 1 : 0;
+    judged += drift.judged() ? 1 : 0;
     if (!drift.moved) continue;
     ++moved;
     who += (who.empty() ? "" : "; ") + std::string("the light of projector ") + std::to_string(drift.projector) +
@@ -195,7 +253,46 @@ std::string WarningOf(const std::vector<ProjectorDrift>& projectors) {
   return "recalibration is due: " + who;
 }
 
+// Of the projectors that have too few points; empty: all were judged.
+std::string NotJudged(const DriftReport& report) {
+  std::string who;
+  for (const ProjectorDrift& drift : report.projectors)
+    if (!drift.judged())
+      who += (who.empty() ? "projector " : ", projector ") + std::to_string(drift.projector) + " (" +
+             std::to_string(drift.points) + " points)";
+  return who.empty() ? ""
+                     : "not judged: " + who + "; it takes " + std::to_string(DriftOptions().min_points) +
+                           " points of the surface";
+}
+
+// With what the numbers of points do not tell.
+std::string WhyNot(const DriftReport& report, const Scene& scene) {
+  if (scene.decoded.size() == 1 && report.projectors[0].judged())
+    return "not judged: what moves the light of projector " + std::to_string(report.projectors[0].projector) +
+           " along its epipolar lines, for no other projector checks it";
+  std::string why = NotJudged(report);
+  bool one_axis = false;
+  for (size_t p = 0; p < scene.axes.size(); ++p)
+    one_axis = one_axis || (!report.projectors[p].judged() && scene.axes[p].columns != scene.axes[p].rows);
+  if (one_axis) why += "; codes of one axis alone tell only where the surface rests on another projector too";
+  return why;
+}
+
 }  // namespace
+
+bool DriftReport::moved() const {
+  return std::ranges::any_of(projectors, [](const ProjectorDrift& drift) { return drift.moved; });
+}
+
+std::string Describe(const DriftReport& report) {
+  if (report.moved()) return "Warning: " + report.warning;
+  const std::string why = report.warning.empty() ? NotJudged(report) : report.warning;
+  if (std::ranges::none_of(report.projectors, &ProjectorDrift::judged))
+    return "Whether the projectors' light falls where the calibration says is not known: " +
+           (why.empty() ? "no codes were compared with the surface" : why);
+  return "The projectors' light falls where the calibration says" +
+         (why.empty() ? "" : ", as far as it is judged (" + why + ")");
+}
 
 Status DriftOptions::Validate() const {
   if (!(max_shift_px > 0.0) || !(least_of_worst >= 0.0 && least_of_worst <= 1.0))
@@ -205,7 +302,7 @@ Status DriftOptions::Validate() const {
 }
 
 Result<DriftReport> CheckDrift(std::span<const DecodedMap> decoded, const SurfaceMap& surface,
-                               const RigCalibration& rig, const DriftOptions& options) {
+                               const RigCalibration& rig, const DriftOptions& options, std::span<const int> numbers) {
   SLX_RETURN_IF_ERROR(options.Validate());
   const int step = QuadStep(rig.camera.cfa);
   if (decoded.size() != rig.projectors.size())
@@ -214,15 +311,23 @@ Result<DriftReport> CheckDrift(std::span<const DecodedMap> decoded, const Surfac
   for (const DecodedMap& map : decoded)
     if (map.reason.width() / step != surface.width() || map.reason.height() / step != surface.height())
       return Status::Usage("drift: decoded maps and surface differ in size");
+  if (!numbers.empty() && numbers.size() != decoded.size())
+    return Status::Usage("drift: " + std::to_string(numbers.size()) + " numbers of " + std::to_string(decoded.size()) +
+                         " projectors");
+  Scene scene{decoded, {}, surface, rig, step};
+  for (const DecodedMap& map : decoded) scene.axes.push_back(AxesOf(map));
   DriftReport report;
   double worst = 0.0;
   for (size_t p = 0; p < decoded.size(); ++p) {
-    report.projectors.push_back(DriftOf(static_cast<int>(p), PointsOf(decoded[p], surface, rig, p, options), options));
+    const int number = numbers.empty() ? static_cast<int>(p) : numbers[p];
+    report.projectors.push_back(DriftOf(number, scene.axes[p], PointsOf(scene, p, options), options));
     worst = std::max(worst, report.projectors.back().shift_px);
   }
   for (ProjectorDrift& drift : report.projectors)
     drift.moved = drift.shift_px > options.max_shift_px && drift.shift_px > options.least_of_worst * worst;
-  report.warning = WarningOf(report.projectors);
+  report.warning = DueOf(report.projectors);
+  if (const std::string why = WhyNot(report, scene); !why.empty())
+    report.warning += (report.warning.empty() ? "" : "; ") + why;
   return report;
 }
 

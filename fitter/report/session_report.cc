@@ -28,8 +28,8 @@ Image<float> Channel(const Image<float>& map, int channel) {
   return out;
 }
 
-Result<Image<float>> Captured(const ReportInput& in, int projector, CapturePhase phase, const Pattern& pattern) {
-  SLX_ASSIGN_OR_RETURN(const auto raw, in.frames.Read(projector, phase, pattern));
+Result<Image<float>> Captured(const ReportInput& in, const db::FrameRow& row) {
+  SLX_ASSIGN_OR_RETURN(const auto raw, in.frames.ReadLinear(row));
   const CameraCalibration& camera = in.frames.calibration()->camera;
   const Image<float> dark(raw.width(), raw.height(), 1, static_cast<float>(camera.black_level_dn));
   return QuadSignal(raw, dark, camera);
@@ -43,7 +43,9 @@ Result<ReportSection> CapturedSamples(const ReportInput& in, double white) {
                         {},
                         {}};
   for (int p = 0; p < o.projectors; ++p) {
-    SLX_ASSIGN_OR_RETURN(const auto image, Captured(in, p, CapturePhase::kReference, {.kind = PatternKind::kWhite}));
+    const db::FrameRow* row = in.frames.FindWhite(p);
+    if (row == nullptr) continue;
+    SLX_ASSIGN_OR_RETURN(const auto image, Captured(in, *row));
     section.images.push_back({"projector " + std::to_string(p) + ", white", ToSrgb(image, white)});
   }
   const int bits = GrayBits(o.projector_width);
@@ -53,7 +55,9 @@ Result<ReportSection> CapturedSamples(const ReportInput& in, double white) {
        {.kind = PatternKind::kSinusoid, .period = o.separation_period, .shift = 0, .shifts = o.separation_shifts}},
       {CapturePhase::kSweep, {.kind = PatternKind::kComb, .period = o.comb_period, .width = o.comb_width, .shift = 0}}};
   for (const auto& [phase, pattern] : samples) {
-    SLX_ASSIGN_OR_RETURN(const auto image, Captured(in, in.heldout, phase, pattern));
+    const db::FrameRow* row = in.frames.Find(in.heldout, phase, pattern);
+    if (row == nullptr) continue;
+    SLX_ASSIGN_OR_RETURN(const auto image, Captured(in, *row));
     section.images.push_back({"projector " + std::to_string(in.heldout) + ", " + pattern.ToString(),
                               ToSrgb(image, phase == CapturePhase::kSweep ? 0.35 * white : white)});
   }
@@ -107,7 +111,9 @@ ReportTable PlacementTable(const Metrics& m) {
   add("none: by the codes alone", {"", "", "", ""}, m.unplaced);
   for (const OffsetFigure& o : m.offsets)
     add(o.heldout ? "all but projector " + std::to_string(*o.heldout) : "all projectors",
-        {o.model, Fixed(o.offset.code_depth_mm), Fixed(o.offset.sigma_mm), std::to_string(o.offset.pixels)}, o.truth);
+        {o.model, o.offset.IsFound() ? Fixed(o.offset.code_depth_mm) : "not found, nothing is moved",
+         o.offset.IsFound() ? Fixed(o.offset.sigma_mm) : "", std::to_string(o.offset.pixels)},
+        o.truth);
   return table;
 }
 
@@ -249,30 +255,33 @@ ReportPlot RowProfile(const ReportInput& in, const LightComparison& c) {
 
 // Whether the rig still stands as it was calibrated.
 ReportSection CalibrationSection(const RigCalibration& rig, const DriftReport& drift) {
-  ReportSection section{
-      "Calibration",
-      (drift.warning.empty() ? "The projectors' light falls where the calibration says" : "Warning: " + drift.warning) +
-          ". Used: " + (rig.source.empty() ? "no source named" : rig.source) +
-          (rig.made_wall.ns != 0 ? ", made " + ToIso8601(rig.made_wall) : "") + ".",
-      {},
-      {},
-      {}};
+  ReportSection section{"Calibration",
+                        Describe(drift) + ". Used: " + (rig.source.empty() ? "no source named" : rig.source) +
+                            (rig.made_wall.ns != 0 ? ", made " + ToIso8601(rig.made_wall) : "") + ".",
+                        {},
+                        {},
+                        {}};
   ReportTable table{"Displacement of each projector's light on the face against the calibration: below 0.5 px is good",
                     {"projector", "columns px", "rows px", "together px", "as if turned by deg", "spread px",
                      "spread expected of the codes px", "points"},
                     {}};
-  for (const ProjectorDrift& d : drift.projectors)
-    table.rows.push_back({std::to_string(d.projector), Fixed(d.shift_columns), Fixed(d.shift_rows), Fixed(d.shift_px),
-                          Fixed(d.turned_deg), Fixed(d.spread_px), Fixed(d.expected_px), std::to_string(d.points)});
+  for (const ProjectorDrift& d : drift.projectors) {
+    // An axis that was not captured is not displaced by nothing.
+    const auto figure = [&](double value) { return d.judged() && value != 0.0 ? Fixed(value) : "not judged"; };
+    table.rows.push_back({std::to_string(d.projector), figure(d.shift_columns), figure(d.shift_rows),
+                          figure(d.shift_px), figure(d.turned_deg), figure(d.spread_px), figure(d.expected_px),
+                          std::to_string(d.points)});
+  }
   section.tables.push_back(table);
   return section;
 }
 
 // How the visitor moved, and what of it is left.
-ReportSection MotionSection(const HeadMotion& motion) {
+ReportSection MotionSection(const FaceMotion& face) {
+  const HeadMotion& motion = face.head;
   ReportSection section{"Motion of the head", "", {}, {}, {}};
   if (motion.poses.empty()) {
-    section.text = "Unknown: to find it takes two white frames of one projector.";
+    section.text = "Unknown: " + WhyUnknown(face) + ".";
     return section;
   }
   section.text =
@@ -314,8 +323,10 @@ int64_t ProfileToShow(const MixtureMap& map) { return ChosenProfile(map); }
 
 Status WriteReport(const std::filesystem::path& folder, const ReportInput& in, const Metrics& metrics,
                    KnownPictures& known) {
-  SLX_ASSIGN_OR_RETURN(const auto lit,
-                       Captured(in, in.heldout, CapturePhase::kReference, {.kind = PatternKind::kWhite}));
+  const db::FrameRow* white_row = in.frames.FindWhite(in.heldout);
+  if (white_row == nullptr)
+    return in.frames.Require(in.heldout, CapturePhase::kReference, {.kind = PatternKind::kWhite}).status();
+  SLX_ASSIGN_OR_RETURN(const auto lit, Captured(in, *white_row));
   Image<float> face = lit;
   for (int y = 0; y < face.height(); ++y)
     for (int x = 0; x < face.width(); ++x)
@@ -336,7 +347,7 @@ Status WriteReport(const std::filesystem::path& folder, const ReportInput& in, c
   report.sections.push_back(Shape(in));
   if (!metrics.offsets.empty()) report.sections.back().tables.push_back(PlacementTable(metrics));
   report.sections.push_back(CalibrationSection(*in.frames.calibration(), metrics.drift));
-  report.sections.push_back(MotionSection(metrics.motion));
+  report.sections.push_back(MotionSection(in.shape.motion));
   report.sections.push_back(DirectAndGlobal(in, white));
   report.sections.push_back(Skin(in, lit, white, metrics.skin));
   report.sections.push_back(SrdOfPixel(in));

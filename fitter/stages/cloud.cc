@@ -9,6 +9,7 @@
 #include "fitter/reconstruction/smooth_surface.h"
 #include "fitter/session/quad_signal.h"
 #include "fitter/stages/decode.h"
+#include "fitter/stages/lit_quads.h"
 #include "shared/geometry/quad.h"
 
 namespace stratalux::fit {
@@ -90,16 +91,46 @@ Status CheckConsistency(const TriangulationCounts& counts) {
                         "projectors moved against each other; calibrate again");
 }
 
-Result<CodedCloud> CloudOf(const std::vector<DecodedMap>& decoded, CodedRig coded) {
-  CodedCloud made;
-  SLX_ASSIGN_OR_RETURN(const auto rough, Triangulate(decoded, coded.rig));
+// Why FindMotion cannot be asked, which reads the whites of all projectors by the session's own calibration and the
+// times of a capture's own plan.
+std::string WhyMotionIsUnasked(const SessionFrames& frames, int pose, const CodedRig& coded) {
+  if (!frames.plan() || !frames.calibration()) return "the session was not captured by a plan with a calibration";
+  if (pose >= 0) return "poses are taken to hold still";
+  const RigCalibration& whole = *frames.calibration();
+  if (coded.projectors.size() != whole.projectors.size()) return "not all calibrated projectors show codes";
+  const Pinhole &camera = coded.rig.camera.model, &calibrated = whole.camera.model;
+  if (camera.width != calibrated.width || camera.height != calibrated.height)
+    return "the frames are crops of the calibrated camera's";
+  return "";
+}
+
+// Cloud and counts of codes of one time; the surface that they lie on.
+Result<SurfaceMap> Surface(std::span<const DecodedMap> decoded, const RigCalibration& rig, CodedCloud& made) {
+  SLX_ASSIGN_OR_RETURN(const auto rough, Triangulate(decoded, rig));
   made.counts = rough.counts;
   SLX_RETURN_IF_ERROR(CheckConsistency(rough.counts));
-  SLX_ASSIGN_OR_RETURN(const auto surface,
-                       SmoothSurface(rough.surface, rough.noise_sigma_mm, coded.rig, {}, &made.unsmoothed));
-  made.cloud = CloudFromSurface(surface, coded.rig.camera, {});
+  SLX_ASSIGN_OR_RETURN(auto surface, SmoothSurface(rough.surface, rough.noise_sigma_mm, rig, {}, &made.unsmoothed));
+  made.cloud = CloudFromSurface(surface, rig.camera, {});
   if (made.cloud.positions_mm.empty())
     return Status::Failed("no point is left: " + WhyNoSurface(rough.counts, made.unsmoothed));
+  return surface;
+}
+
+// As ReconstructMovingShape, without separation.
+Result<CodedCloud> CloudOf(const SessionFrames& frames, int pose, std::vector<DecodedMap> decoded, CodedRig coded) {
+  CodedCloud made;
+  SLX_ASSIGN_OR_RETURN(auto surface, Surface(decoded, coded.rig, made));
+  made.motion_unasked = WhyMotionIsUnasked(frames, pose, coded);
+  if (made.motion_unasked.empty()) {
+    SLX_ASSIGN_OR_RETURN(const auto lit, LitQuads(decoded, {}, surface, coded.rig));
+    SLX_ASSIGN_OR_RETURN(made.motion, FindMotion(frames, decoded, surface, lit));
+  }
+  if (made.motion.moved()) {
+    decoded = AtReference(decoded, surface, coded.rig, made.motion);
+    coded.rig = RigAt(coded.rig, made.motion, &ProjectorMoments::codes_s);
+    SLX_ASSIGN_OR_RETURN(surface, Surface(decoded, coded.rig, made));
+  }
+  SLX_ASSIGN_OR_RETURN(made.drift, CheckDrift(decoded, surface, coded.rig, {}, coded.projectors));
   made.projectors = std::move(coded.projectors);
   return made;
 }
@@ -125,7 +156,7 @@ Result<CodedCloud> CloudFromCodes(const SessionFrames& frames, int pose, const R
         auto report, DecodeProjector(frames, coded->projectors[p], pose, model.width, model.height, NoiseOf(frames)));
     decoded.push_back(std::move(report.map));
   }
-  auto made = CloudOf(decoded, std::move(*coded));
+  auto made = CloudOf(frames, pose, std::move(decoded), std::move(*coded));
   if (!made.ok()) return made.status().WithContext(where);
   return made;
 }

@@ -4,11 +4,14 @@
 
 #include <cstdint>
 #include <optional>
+#include <string>
 #include <vector>
 
 #include "fitter/export/triangle_mesh.h"
+#include "fitter/reconstruction/drift.h"
 #include "fitter/reconstruction/triangulate.h"
 #include "fitter/session/session_frames.h"
+#include "fitter/stages/motion.h"
 
 namespace stratalux::fit {
 
@@ -20,6 +23,10 @@ struct CodedCloud {
   std::vector<int> projectors;  // whose codes it rests on
   TriangulationCounts counts;
   int64_t unsmoothed = 0;  // quads dropped by SmoothSurface
+  DriftReport drift;       // by the record's numbers of the projectors
+  // Where the head moved, the points are those of its reference time, as in the shape stage.
+  FaceMotion motion;
+  std::string motion_unasked;  // why it was not looked for; empty: it was
 };
 
 // The poses of a session that have codes, of any projector or of one; -1 where they are not numbered.

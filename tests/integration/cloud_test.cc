@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // `stratalux-fit cloud`: points from codes and a calibration alone.
 #include <Eigen/Eigenvalues>
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -21,6 +22,7 @@ namespace {
 
 namespace fs = std::filesystem;
 using ::testing::HasSubstr;
+using ::testing::Not;
 using Json = nlohmann::json;
 
 class Cloud : public TinyStore {
@@ -75,6 +77,32 @@ TEST_F(Cloud, IsTheSurfaceOfTheShapeStage) {
       EXPECT_NEAR(ours.columns.at(column)[v], exported.columns.at(column)[v], 1e-6) << column << " " << v;
 }
 
+// By the calibration that it was captured with nobody moved; by one of a rig in which projector 2 was turned it did.
+TEST_F(Cloud, NamesAProjectorThatWasTurnedSinceTheCalibration) {
+  const auto drift_of = [&](const Json& record, std::string& err) {
+    const Outcome made = Run("stratalux-fit cloud s000001 --json --calibration " + RecordFile(record) + To("points"));
+    EXPECT_EQ(made.code, 0) << made.err;
+    err = made.err;
+    return Json::parse(made.out).at("clouds").at(0).at("drift");
+  };
+  std::string err;
+  const Json still = drift_of(Record(), err);
+  EXPECT_EQ(still.at("warning"), "") << err;
+  EXPECT_THAT(err, Not(HasSubstr("recalibration is due")));
+  ASSERT_EQ(still.at("projectors").size(), 4U);
+  for (const Json& projector : still.at("projectors")) EXPECT_TRUE(projector.at("judged")) << projector;
+  Json record = Record();
+  const auto rig = RigCalibration::FromJson(record.dump());
+  ASSERT_TRUE(rig.ok());
+  auto turned = *rig;
+  turned.projectors[2].camera_from_projector.rotation =
+      turned.projectors[2].camera_from_projector.rotation * Eigen::AngleAxisd(0.015, Eigen::Vector3d::UnitX());
+  const Json moved = drift_of(Json::parse(turned.ToJson()), err);
+  EXPECT_THAT(moved.at("warning").get<std::string>(), HasSubstr("the light of projector 2 falls"));
+  EXPECT_TRUE(moved.at("projectors").at(2).at("moved"));
+  EXPECT_THAT(err, HasSubstr("recalibration is due"));
+}
+
 TEST_F(Cloud, IsLoggedMarkedAndForgotten) {
   ASSERT_EQ(Run("stratalux-fit cloud s000001" + To("points")).code, 0);
   EXPECT_THAT(Run("stratalux-db access s000001").out, HasSubstr("cloud"));
@@ -88,8 +116,11 @@ TEST_F(Cloud, OfImportedImagesLiesWhereTheCapturesDoes) {
   ASSERT_EQ(Run("stratalux-fit cloud s000001" + To("points")).code, 0);
   ASSERT_NO_FATAL_FAILURE(ImportWithout("comb"));
   ExpectRefused("stratalux-fit cloud s000003" + To("no"), 2, {"s000003", "carries no calibration", "--calibration"});
-  const Outcome made = Run("stratalux-fit cloud s000003 --calibration " + RecordFile(Record()) + To("imported"));
+  const Outcome made = Run("stratalux-fit cloud s000003 --json --calibration " + RecordFile(Record()) + To("imported"));
   ASSERT_EQ(made.code, 0) << made.err;
+  const Json motion = Json::parse(made.out).at("clouds").at(0).at("motion");
+  EXPECT_FALSE(motion.at("known"));
+  EXPECT_THAT(motion.at("text").get<std::string>(), HasSubstr("not looked for"));
   const fit::PlyRead captured = fit::ReadPly(folder_ / "points" / "cloud.ply"),
                      imported = fit::ReadPly(folder_ / "imported" / "cloud.ply");
   // By the quad's ray, of which quads have some 0.006 between them.
@@ -116,13 +147,17 @@ TEST_F(Cloud, OfImportedImagesLiesWhereTheCapturesDoes) {
 TEST_F(Cloud, OneAxisIsEnoughAndAMissingFrameIsNamed) {
   ASSERT_NO_FATAL_FAILURE(ImportWithout("gray rows"));
   const std::string record = RecordFile(Record());
-  const Outcome columns = Run("stratalux-fit cloud s000003 --calibration " + record + To("columns"));
+  const Outcome columns = Run("stratalux-fit cloud s000003 --json --calibration " + record + To("columns"));
   ASSERT_EQ(columns.code, 0) << columns.err;
+  for (const Json& projector : Json::parse(columns.out).at("clouds").at(0).at("drift").at("projectors"))
+    EXPECT_TRUE(projector.at("judged")) << projector;
   EXPECT_GT(fit::ReadPly(folder_ / "columns" / "cloud.ply").columns.at("x").size(), 100U);
   fs::remove_all(folder_ / "files");
   ASSERT_NO_FATAL_FAILURE(ImportWithout("gray columns bit=3/7\""));
-  ExpectRefused("stratalux-fit cloud s000004 --calibration " + record + To("no"), 4,
-                {"s000004", "projector 0", "gray columns bit=3/7"});
+  // Its inverse tells the bit by white and black.
+  const Outcome without = Run("stratalux-fit cloud s000004 --calibration " + record + To("without"));
+  EXPECT_EQ(without.code, 0) << without.err;
+  EXPECT_THAT(without.err, HasSubstr("'gray columns bit=3/7' is missing"));
   fs::remove_all(folder_ / "files");
   ASSERT_NO_FATAL_FAILURE(ImportWithout("gray "));
   ExpectRefused("stratalux-fit cloud s000005 --calibration " + record + To("no"), 4, {"s000005", "no codes"});

@@ -18,6 +18,7 @@
 #include "fitter/evaluation/truth.h"
 #include "fitter/stages/shape.h"
 #include "shared/units/angle.h"
+#include "tests/fitter/export/read_export.h"
 #include "tests/support/drawn.h"
 #include "tests/support/run_program.h"
 #include "tests/support/scratch_folder.h"
@@ -107,6 +108,34 @@ Eigen::Vector3d TrueMotion(const Eigen::Vector3d& point, double seconds) {
          kSway.mm_per_s * seconds * Eigen::Vector3d::Ones();
 }
 
+// `stratalux-fit cloud` knows of the motion too: its points are those of the reference time.
+void ExpectCloudOf(const FaceShape& carried, const std::string& store, const fs::path& folder) {
+  const Outcome made = Execute(
+      "stratalux-fit cloud latest --json --out " + (folder / "points").string() + " --store " + store, Show::kStdout);
+  ASSERT_EQ(made.code, 0);
+  const auto cloud = nlohmann::json::parse(made.out).at("clouds").at(0);
+  EXPECT_TRUE(cloud.at("motion").at("moved"));
+  EXPECT_NEAR(cloud.at("motion").at("largest_mm").get<double>(), carried.motion.head.largest_mm, 0.05);
+  EXPECT_EQ(cloud.at("drift").at("warning"), "");
+  const auto columns = ReadPly(folder / "points" / "cloud.ply").columns;
+  std::vector<double> off_mm;
+  const CameraCalibration& camera = carried.record.camera;
+  for (size_t v = 0; v < columns.at("x").size(); ++v) {
+    const Eigen::Vector3d point(columns.at("x")[v], columns.at("y")[v], columns.at("z")[v]);
+    const Eigen::Vector2d pixel = *camera.model.Project(point);
+    const int i = static_cast<int>(std::lround((pixel.x() - 0.5) / 2)),
+              j = static_cast<int>(std::lround((pixel.y() - 0.5) / 2));
+    if (carried.surface.mask.view().contains(i, j) && carried.surface.mask(i, j) != 0)
+      off_mm.push_back((carried.surface.Point(i, j) - point).norm());
+  }
+  ASSERT_GT(off_mm.size(), columns.at("x").size() * 95 / 100);
+  std::ranges::sort(off_mm);
+  std::printf("cloud: %zu points, %.4f mm from the shape stage's (median), %.4f (95 %%)\n", off_mm.size(),
+              off_mm[off_mm.size() / 2], off_mm[off_mm.size() * 95 / 100]);
+  EXPECT_LT(off_mm[off_mm.size() / 2], 0.02) << "as if still: 0.12";
+  EXPECT_LT(off_mm[off_mm.size() * 95 / 100], 0.08);
+}
+
 // Half a millimetre to the side, late in projector 2's sweep: all it showed until then is captured anew.
 TEST_F(MovingHead, AJumpIsCapturedAnewFoundAndMadeUpFor) {
   if (IsLeftToTheNight(0)) GTEST_SKIP() << "by day with an even STRATALUX_SEED";
@@ -142,6 +171,7 @@ TEST_F(MovingHead, AJumpIsCapturedAnewFoundAndMadeUpFor) {
   EXPECT_LT(within_s, 1.0);
   EXPECT_LT(worst, 0.15);
 
+  ExpectCloudOf(carried, store_, folder_);
   const FaceShape as_captured = Reconstruct("--motion off");
   const SurfaceError with = Error(carried), without = Error(as_captured);
   std::printf("depth rms %.3f, bias %.3f; as if still %.3f, %.3f\n", with.depth_rms_mm, with.depth_bias_mm,
@@ -172,6 +202,7 @@ TEST_F(MovingHead, ASwayIsProvenFoundAndMadeUpFor) {
   EXPECT_LT(worst, 0.15);
   EXPECT_GT(whole.norm(), 0.4);
 
+  ExpectCloudOf(carried, store_, folder_);
   const FaceShape as_captured = Reconstruct("--motion off");
   EXPECT_FALSE(as_captured.motion.moved());
   const SurfaceError with = Error(carried), without = Error(as_captured);

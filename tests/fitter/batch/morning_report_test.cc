@@ -64,6 +64,14 @@ TEST(FiguresOf, WhatIsNotThereOrOfAnotherFormIsLeftOut) {
   }
 }
 
+// Nobody is to take it for the best of all.
+TEST(FiguresOf, ADriftThatWasNotJudgedIsNone) {
+  const std::string none = R"({"projector": 0, "points": 31, "shift_px": 0.0})",
+                    judged = R"({"projector": 1, "points": 900, "shift_px": 0.25})";
+  EXPECT_THAT(FiguresOf(R"({"drift": {"projectors": [)" + none + "]}}"), IsEmpty());
+  EXPECT_EQ(FiguresOf(R"({"drift": {"projectors": [)" + none + "," + judged + "]}}"), (Figures{{"drift, px", 0.25}}));
+}
+
 // 9 fits around 4 with a median deviation of 0.2: a standard deviation of 0.2965, so that 1.04 is far.
 TEST(OutliersOf, AreFarFromTheStoresOwnFits) {
   std::vector<Figures> earlier;

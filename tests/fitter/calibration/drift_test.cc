@@ -14,6 +14,8 @@ namespace stratalux::fit {
 namespace {
 
 using ::testing::HasSubstr;
+using ::testing::Not;
+using ::testing::StartsWith;
 
 constexpr float kNoise_px = 0.15F;
 
@@ -71,8 +73,17 @@ std::vector<DecodedMap> Decode(const RigCalibration& standing, double displaced_
   return maps;
 }
 
-DriftReport Check(const RigCalibration& standing, RigCalibration calibrated, double displaced_px = 0.0) {
-  const auto decoded = Decode(standing, displaced_px, calibrated.projectors.size());
+enum class Axes { kBoth, kColumns, kRows };
+
+DriftReport Check(const RigCalibration& standing, RigCalibration calibrated, double displaced_px = 0.0,
+                  Axes axes = Axes::kBoth) {
+  auto decoded = Decode(standing, displaced_px, calibrated.projectors.size());
+  for (DecodedMap& map : decoded) {
+    if (axes == Axes::kColumns)
+      map.row = map.row_sigma = Image<float>(map.row.width(), map.row.height(), 1, std::nanf(""));
+    if (axes == Axes::kRows)
+      map.column = map.column_sigma = Image<float>(map.column.width(), map.column.height(), 1, std::nanf(""));
+  }
   const auto shape = Triangulate(decoded, calibrated);
   EXPECT_TRUE(shape.ok()) << shape.status().message();
   auto report = CheckDrift(decoded, shape->surface, calibrated);
@@ -138,9 +149,65 @@ TEST(Drift, OneProjectorAloneShowsWhatLiesAcrossItsEpipolarLines) {
   RigCalibration standing = Rig(), calibrated = Rig();
   standing.projectors.resize(1);
   calibrated.projectors.resize(1);
-  EXPECT_EQ(Check(standing, calibrated).warning, "");
+  EXPECT_THAT(Check(standing, calibrated).warning,
+              StartsWith("not judged: what moves the light of projector 0 along its epipolar lines"));
   Turn(standing.projectors[0], Eigen::Vector3d::UnitX(), 0.15);  // moves its light across
-  EXPECT_THAT(Check(standing, calibrated).warning, HasSubstr("projector 0"));
+  const DriftReport report = Check(standing, calibrated);
+  EXPECT_TRUE(report.moved());
+  EXPECT_THAT(report.warning, HasSubstr("recalibration is due: the light of projector 0"));
+}
+
+TEST(Drift, IsJudgedByTheAxisThatWasCaptured) {
+  for (const Axes axes : {Axes::kColumns, Axes::kRows}) {
+    const bool columns = axes == Axes::kColumns;
+    const DriftReport still = Check(Rig(), Rig(), 0.0, axes);
+    EXPECT_EQ(still.warning, "");
+    for (const ProjectorDrift& drift : still.projectors) {
+      EXPECT_GT(drift.points, 1000) << drift.projector;
+      EXPECT_LT(drift.shift_px, 0.05) << drift.projector;
+      EXPECT_NEAR(drift.expected_px, double{kNoise_px}, 1e-3) << "of one axis";
+      EXPECT_LT(drift.spread_px, 1.3 * drift.expected_px) << drift.projector;
+    }
+    // About the axis that moves the captured coordinate, of a projector whose baseline lies along it.
+    const size_t turned = columns ? 0 : 1;
+    RigCalibration standing = Rig();
+    Turn(standing.projectors[turned], Eigen::Vector3d::Unit(columns ? 1 : 0), 0.1);
+    const DriftReport report = Check(standing, Rig(), 0.0, axes);
+    const ProjectorDrift& drift = report.projectors[turned];
+    EXPECT_TRUE(drift.moved) << drift.shift_px;
+    EXPECT_NEAR(drift.turned_deg, 0.1, 0.015);
+    EXPECT_EQ(columns ? drift.shift_rows : drift.shift_columns, 0.0);
+    EXPECT_GT(std::abs(columns ? drift.shift_columns : drift.shift_rows), 3.0);
+    EXPECT_THAT(report.warning, StartsWith("recalibration is due: the light of projector " + std::to_string(turned)));
+  }
+}
+
+// Its columns agree with whatever depth they give.
+TEST(Drift, OneAxisOfOneProjectorIsNotJudged) {
+  RigCalibration standing = Rig(), calibrated = Rig();
+  standing.projectors.resize(1);
+  calibrated.projectors.resize(1);
+  Turn(standing.projectors[0], Eigen::Vector3d::UnitY(), 0.3);
+  const DriftReport report = Check(standing, calibrated, 0.0, Axes::kColumns);
+  EXPECT_FALSE(report.projectors[0].judged());
+  EXPECT_THAT(report.warning, StartsWith("not judged: projector 0 (0 points)"));
+  EXPECT_THAT(report.warning, HasSubstr("one axis alone"));
+  EXPECT_THAT(Describe(report),
+              StartsWith("Whether the projectors' light falls where the calibration says is not known"));
+}
+
+TEST(Drift, TheReportClaimsNoMoreThanWasJudged) {
+  const std::string well = "The projectors' light falls where the calibration says";
+  DriftReport report;
+  EXPECT_THAT(Describe(report), Not(HasSubstr(well))) << "of a true surface nothing is judged";
+  report.projectors.push_back({.projector = 0, .points = 900, .shift_px = 0.02});
+  EXPECT_EQ(Describe(report), well);
+  // As a fit of before has it, whose warning did not say so.
+  report.projectors.push_back({.projector = 1, .points = 31});
+  EXPECT_THAT(Describe(report), StartsWith(well + ", as far as it is judged (not judged: projector 1 (31 points)"));
+  report.projectors.erase(report.projectors.begin());
+  EXPECT_THAT(Describe(report), Not(HasSubstr(well + ",")));
+  EXPECT_THAT(Describe(report), HasSubstr("is not known: not judged: projector 1 (31 points)"));
 }
 
 TEST(Drift, TooFewPointsAreNotJudged) {
@@ -153,8 +220,14 @@ TEST(Drift, TooFewPointsAreNotJudged) {
         if (j != 60) map.reason(i, j) = static_cast<uint8_t>(DecodeReason::kUnlit);
   const auto report = CheckDrift(decoded, shape->surface, Rig());
   ASSERT_TRUE(report.ok());
-  EXPECT_EQ(report->warning, "");
-  EXPECT_EQ(report->projectors[0].shift_px, 0.0);
+  EXPECT_THAT(report->warning, StartsWith("not judged: projector 0 ("));
+  EXPECT_FALSE(report->projectors[0].judged());
+  const std::vector<int> numbers = {7, 2, 1, 0};
+  const auto numbered = CheckDrift(decoded, shape->surface, Rig(), {}, numbers);
+  ASSERT_TRUE(numbered.ok());
+  EXPECT_THAT(numbered->warning, StartsWith("not judged: projector 7 ("));
+  const auto short_of_one = CheckDrift(decoded, shape->surface, Rig(), {}, std::span(numbers).first(3));
+  EXPECT_EQ(short_of_one.status().code(), StatusCode::kUsage);
 }
 
 TEST(Drift, MapsOfAnotherSizeAreRefused) {
