@@ -192,7 +192,7 @@ Status Decode(const DecodeFlags& f, Logger& logger) {
   nlohmann::ordered_json results = nlohmann::ordered_json::array();
   std::vector<PoseMaps> maps;
   for (const int pose : poses) {
-    if (const std::string note = UnreadSinusoids(frames, f.projector, pose); !note.empty() && !f.bits_alone)
+    if (const std::string note = UnreadPatterns(frames, f.projector, pose); !note.empty() && !f.bits_alone)
       logger.Warning(note);
     SLX_RETURN_IF_ERROR(DecodePose(frames, f, pose, reference, results, maps));
   }

@@ -24,6 +24,7 @@ int main(int argc, char** argv) {
       "  stratalux-fit run s000003 --store store --full-evaluation --shift refracted_sine\n"
       "  stratalux-fit calibrate --last 12 --store store\n"
       "  stratalux-fit decode latest --store store --out decoded\n"
+      "  stratalux-fit modulation latest --store store --region 170,20,340,590\n"
       "  stratalux-fit cloud latest --store store --calibration rig.json --out points\n"
       "  stratalux-fit render latest --store store --point=-200,-150,250 --out relit\n"
       "  stratalux-fit export latest --store store --out face\n"
@@ -36,6 +37,7 @@ int main(int argc, char** argv) {
   stratalux::fit::AddRunCommands(app, exit_code);
   stratalux::fit::AddBatchCommands(app, exit_code);
   stratalux::fit::AddDecodeCommand(app, exit_code);
+  stratalux::fit::AddModulationCommand(app, exit_code);
   stratalux::fit::AddCloudCommand(app, exit_code);
   stratalux::fit::AddCalibrateCommand(app, exit_code);
   stratalux::fit::AddRenderCommand(app, exit_code);
