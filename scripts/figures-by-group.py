@@ -3,8 +3,9 @@
 """Figures of the fit by groups of skin colour: simulated people, light to dark, captured, fitted, judged by one yardstick.
 
 Six groups of the individual typology angle, ITA = atan((L* - 50) / b*) of CIELAB under D65, with the bounds that
-dermatology uses (Del Bino & Bernerd 2013): 55, 41, 28, 10, -30 degrees. L* and b* are of the person's diffuse reflectance at
-630, 532 and 465 nm taken as linear sRGB: the cameras' three bands, not a spectrum. Each group takes the first people of
+dermatology uses (Del Bino & Bernerd 2013): 55, 41, 28, 10, -30 degrees. L* and b* are of the person's reflectance at
+630, 532 and 465 nm, the mirrored 4 % included as instruments with a sphere measure it, taken as linear sRGB: the cameras'
+three bands, not a spectrum. Each group takes the first people of
 the population, from --first on, that fall into it; a person's number is the seed of the capture, so each has a head and
 a surface of its own, too.
 
@@ -32,8 +33,8 @@ import sys
 
 from simulated_visits import called, captured, concluded, figures_parser, mean, parsed
 
-GROUPS = [("very light", 55, 90), ("light", 41, 55), ("intermediate", 28, 41), ("tan", 10, 28), ("brown", -30, 10),
-          ("dark", -90, -30)]
+GROUPS = [("very light", 55, 180), ("light", 41, 55), ("intermediate", 28, 41), ("tan", 10, 28), ("brown", -30, 10),
+          ("dark", -180, -30)]
 MODELS = [("tied", "layers"), ("homogeneous_local_albedo", "mean layers"), ("direction_blind", "blind")]
 
 

@@ -152,6 +152,13 @@ Status CheckMesh(const SceneDescription& scene) {
                          "them out (epidermis_mm and scattering are keys of their own)");
   if (!mesh.albedo.empty() && (scene.skin.melanin || scene.skin.blood))
     return Status::Usage(where + "[skin] melanin and blood are solved from [mesh] albedo; leave one of them out");
+  const SkinDescription usual;
+  const SkinDescription& skin = scene.skin;
+  if (!mesh.albedo.empty() && (skin.scar != usual.scar || skin.freckles || skin.vessels != usual.vessels ||
+                               skin.patches != usual.patches || skin.redness != usual.redness))
+    return Status::Usage(where +
+                         "[skin] patches, freckles, vessels, redness and scar are of a face that is drawn; the one of "
+                         "[mesh] albedo has its picture's, leave them out");
   return Status::Ok();
 }
 

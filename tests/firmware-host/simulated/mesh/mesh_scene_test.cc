@@ -218,6 +218,10 @@ TEST_F(MeshScene, EveryComplaintNamesFileKeyAndRemedy) {
       {"relief_mm = 3", "", ":5"},
       {"albedo = \"a.png\"", "", "a.obj: some faces have no texture coordinates, which [mesh] albedo needs"},
       {"albedo = \"a.png\"", "[skin]\nmelanin = 0.02", "[skin] melanin and blood are solved from [mesh] albedo"},
+      {"albedo = \"a.png\"", "[skin]\nscar = true",
+       "patches, freckles, vessels, redness and scar are of a face that is drawn"},
+      {"albedo = \"a.png\"", "[skin]\nfreckles = 3",
+       "patches, freckles, vessels, redness and scar are of a face that is drawn"},
   };
   for (const auto& c : cases) {
     const auto scene = Make(cube, c.keys, c.rest);
