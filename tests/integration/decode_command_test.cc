@@ -203,7 +203,7 @@ TEST_F(DecodeCommand, SinusoidsThatLackAShiftAreNamed) {
   Import();
   const Outcome decoded = Decode("");
   EXPECT_EQ(decoded.code, 0);
-  EXPECT_THAT(decoded.out, HasSubstr("columns, period 8 px: 3 of 4 shifts, all are needed"));
+  EXPECT_THAT(decoded.out, HasSubstr("columns, sinusoids of period 8 px: 3 of 4 shifts, all are needed"));
   EXPECT_THAT(Decode("--bits-alone").out, Not(HasSubstr("sinusoids")));
 }
 
