@@ -15,6 +15,7 @@
 #include "fitter/apps/run_command.h"
 #include "fitter/export/exr_file.h"
 #include "fitter/session/choose_session.h"
+#include "fitter/session/sinusoid_sets.h"
 #include "fitter/stages/modulation.h"
 #include "shared/base/standard_output.h"
 

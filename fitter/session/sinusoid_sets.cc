@@ -20,6 +20,8 @@ void FindShifts(const SessionFrames& frames, int projector, int pose, PatternAxi
 
 }  // namespace
 
+const char* AxisName(PatternAxis axis) { return axis == PatternAxis::kColumns ? "columns" : "rows"; }
+
 std::vector<SinusoidSet> SinusoidSets(const SessionFrames& frames, int projector, int pose, PatternAxis axis) {
   std::set<std::pair<int, int>> kinds;  // period; shifts, most first
   if (frames.plan()) {

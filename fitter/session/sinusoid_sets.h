@@ -8,6 +8,9 @@
 
 namespace stratalux::fit {
 
+// As files and messages name it.
+[[nodiscard]] const char* AxisName(PatternAxis axis);
+
 // Sinusoids of one period along an axis.
 struct SinusoidSet {
   int period_px = 0, shifts = 0;

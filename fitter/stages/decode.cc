@@ -197,8 +197,8 @@ std::string UnreadPatterns(const SessionFrames& frames, int projector, int pose)
     for (size_t i = 0; i < sets.size(); ++i) {
       if ((i == 0 && sets[i].IsWhole()) || sets[i].rows.empty()) continue;
       const std::string found = std::to_string(sets[i].rows.size()), wanted = std::to_string(sets[i].shifts);
-      parts.push_back(std::string(axis == PatternAxis::kColumns ? "columns" : "rows") + ", sinusoids of period " +
-                      std::to_string(sets[i].period_px) + " px: " +
+      parts.push_back(std::string(AxisName(axis)) + ", sinusoids of period " + std::to_string(sets[i].period_px) +
+                      " px: " +
                       (sets[i].IsWhole() ? "period " + std::to_string(sets[0].period_px) + " px is read"
                                          : found + " of " + wanted + " shifts, all are needed"));
     }
@@ -250,12 +250,12 @@ Result<DecodedFace> DecodeFace(const SessionFrames& frames, Logger& logger, Code
            (CodeFramesOf(frames, code, p, -1, PatternAxis::kColumns, size.columns).found > 0 ||
             CodeFramesOf(frames, code, p, -1, PatternAxis::kRows, size.rows).found > 0);
   };
-  const int projectors = static_cast<int>(rig.projectors.size());
-  bool any = false;
-  for (int p = 0; p < projectors; ++p) any = any || has_codes(p);
-  for (int p = 0; p < projectors; ++p) {
+  std::vector<uint8_t> coded;
+  for (int p = 0; p < static_cast<int>(rig.projectors.size()); ++p) coded.push_back(has_codes(p) ? 1 : 0);
+  const bool any = std::ranges::count(coded, 1) > 0;
+  for (int p = 0; p < static_cast<int>(coded.size()); ++p) {
     const Pinhole& model = rig.projectors[p].model;
-    if (any && !has_codes(p)) {
+    if (any && coded[static_cast<size_t>(p)] == 0) {
       logger.Warning("projector " + std::to_string(p) +
                      ": its white, its black or all of its codes are missing (`stratalux-db show`); the surface is "
                      "found without it. Capture the visitor again");

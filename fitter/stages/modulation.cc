@@ -47,8 +47,6 @@ SetChoice ChooseSets(const SessionFrames& frames, const SinusoidPlace& place, Pa
 
 }  // namespace
 
-const char* AxisName(PatternAxis axis) { return axis == PatternAxis::kColumns ? "columns" : "rows"; }
-
 std::string SinusoidPlace::ToString() const {
   return "projector " + std::to_string(projector) + (pose >= 0 ? ", pose " + std::to_string(pose) : std::string());
 }

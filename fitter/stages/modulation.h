@@ -10,9 +10,6 @@
 
 namespace stratalux::fit {
 
-// As files and messages name it.
-[[nodiscard]] const char* AxisName(PatternAxis axis);
-
 // Of one whole set.
 struct SetModulation {
   PatternAxis axis = PatternAxis::kColumns;

@@ -7,6 +7,7 @@
 
 #include "fitter/export/exr_file.h"
 #include "fitter/separation/separate.h"
+#include "fitter/session/sinusoid_sets.h"
 #include "fitter/stages/colours.h"
 #include "fitter/stages/stage_json.h"
 #include "shared/base/parallel_each.h"
@@ -14,22 +15,6 @@
 
 namespace stratalux::fit {
 namespace {
-
-// Of an axis the sinusoids that are there, in shift order.
-std::vector<const db::FrameRow*> SinusoidsOf(const SessionFrames& frames, int projector, PatternAxis axis) {
-  const PlanOptions& o = *frames.plan();
-  std::vector<const db::FrameRow*> rows;
-  for (int shift = 0; shift < o.separation_shifts; ++shift) {
-    const db::FrameRow* row = frames.Find(projector, CapturePhase::kSeparation,
-                                          {.kind = PatternKind::kSinusoid,
-                                           .axis = axis,
-                                           .period = o.separation_period,
-                                           .shift = shift,
-                                           .shifts = o.separation_shifts});
-    if (row != nullptr) rows.push_back(row);
-  }
-  return rows;
-}
 
 SeparationMap NothingTold(const RigCalibration& rig) {
   const int step = QuadStep(rig.camera.cfa);
@@ -52,15 +37,13 @@ Result<SeparationMap> SeparateProjector(const SessionFrames& frames, int project
   // Of equal steps: an axis that lacks a shift tells nothing, the other one is separated by itself.
   std::vector<const db::FrameRow*> rows;
   for (PatternAxis axis : frames.sinusoids()) {
-    const auto found = SinusoidsOf(frames, projector, axis);
-    const int wanted = frames.plan()->separation_shifts;
-    if (std::ssize(found) == wanted)
-      rows.insert(rows.end(), found.begin(), found.end());
-    else
-      logger.Warning(name + ": direct and global light are separated without the sinusoids along " +
-                     (axis == PatternAxis::kColumns ? "columns" : "rows") + ", of which " +
-                     std::to_string(wanted - std::ssize(found)) + " of " + std::to_string(wanted) +
-                     " are missing (`stratalux-db show`)");
+    const SinusoidSet set = SinusoidSets(frames, projector, -1, axis).front();  // the plan has one
+    if (set.IsWhole())
+      rows.insert(rows.end(), set.rows.begin(), set.rows.end());
+    else if (set.shifts > 0)
+      logger.Warning(name + ": direct and global light are separated without the sinusoids along " + AxisName(axis) +
+                     ", of which " + std::to_string(set.shifts - std::ssize(set.rows)) + " of " +
+                     std::to_string(set.shifts) + " are missing (`stratalux-db show`)");
   }
   SLX_ASSIGN_OR_RETURN(const auto images, frames.ReadAll(rows));
   SeparationFrames input;
